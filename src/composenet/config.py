@@ -1,0 +1,124 @@
+"""All parameters, as frozen dataclasses: validated, written beside every result.
+
+Values marked [paper] are those of Mueller et al., CVPR 2021.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from composenet.errors import ConfigError
+
+_STRICT = ConfigDict(extra="forbid")
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True, config=_STRICT)
+class VolumeConfig:
+    """How a frame becomes a volume."""
+
+    voxel_size_m: Positive = 0.05
+    """edge of a surface voxel, metres"""
+    max_depth_m: Positive = 7.0
+    """depth beyond this is dropped"""
+    truncation_m: Positive = 0.15
+    """truncation of the signed distance field"""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class NetworkConfig:
+    """Sizes of the network."""
+
+    backbone_channels: tuple[Count, ...] = (16, 32, 48, 64, 96)
+    """channels at strides 1, 2, 4, 8, 16 (bottleneck 1/16 [paper])"""
+    object_channels: tuple[Count, ...] = (24, 48, 96)
+    """channels of the object network at 1/2, 1/4, 1/8 of the crop"""
+    crop_cells: Count = 32
+    """cells a side of the fixed grid each box is sampled on"""
+    crop_margin: Annotated[float, Field(ge=1)] = 1.25
+    """the crop is the proposal grown by this factor"""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class DetectionConfig:
+    """Proposals from voxel predictions."""
+
+    objectness_threshold: Share = 0.5
+    mean_shift_steps: Count = 20
+    """[paper]"""
+    mean_shift_radius_voxels: Positive = 8.0
+    """[paper]"""
+    min_cluster_voxels: Count = 50
+    """smaller clusters are dropped [paper]"""
+    max_proposals: Count = 20
+    min_score: Share = 0.3
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TrackingConfig:
+    """Association over time."""
+
+    use_correspondences: bool = True
+    """second pass by canonical IoU; False is the paper's "no corr." """
+    use_completion: bool = True
+    """False: only observed cells carry geometry; the paper's "no compl." """
+    box_iou_gate: Share = 0.3
+    """[paper]"""
+    canonical_iou_gate: Share = 0.3
+    """[paper]"""
+    running_mean_weight: Positive = 4.0
+    """old : new = 4 : 1 [paper]"""
+    end_after_frames: Count = 90
+    """a track unseen for this many frames has ended"""
+    offline: bool = False
+    """run the paper's second pass over the whole sequence, which looks into the future"""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Config:
+    """Everything needed to track a recording."""
+
+    volume: VolumeConfig = VolumeConfig()
+    network: NetworkConfig = NetworkConfig()
+    detection: DetectionConfig = DetectionConfig()
+    tracking: TrackingConfig = TrackingConfig()
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Plain dictionary of any configuration dataclass."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(data: dict[str, Any], kind: type = Config) -> Any:
+    """Validated configuration of the given kind.
+
+    Raises ConfigError naming the field, what it holds and what was expected.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"configuration field {where!r}: {first['msg']}") from None
+
+
+def load(path: Path, kind: type = Config) -> Any:
+    """Configuration from a JSON file. Raises ConfigError."""
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: not a readable JSON configuration ({error})") from None
+    return from_dict(data, kind)
+
+
+def dump(config: Any, path: Path) -> None:
+    """Write the configuration as JSON."""
+    path.write_text(json.dumps(to_dict(config), indent=2) + "\n")

@@ -1,0 +1,206 @@
+"""The records that pass between stages. Frozen; each field with shape, unit and frame.
+
+Frames, axes and units are those of CONVENTIONS.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating]
+
+CLASS_NAMES: tuple[str, ...] = (
+    "bathtub",
+    "bed",
+    "bookshelf",
+    "cabinet",
+    "chair",
+    "desk",
+    "sink",
+    "sofa",
+    "table",
+    "toilet",
+)
+
+
+class Symmetry(str, Enum):
+    """Rotational symmetry of an object about its up axis (Scan2CAD's four kinds)."""
+
+    NONE = "none"
+    TWO = "two"
+    FOUR = "four"
+    INF = "inf"
+
+
+class TrackState(str, Enum):
+    """What a user may act on.
+
+    TRACKED: seen in this frame. RE_FOUND: seen in this frame after an absence.
+    OCCLUDED: not seen, and not expected to be (hidden or outside the view).
+    LOST: not seen although it should be in view. ENDED: given up, never returns.
+    """
+
+    TRACKED = "tracked"
+    OCCLUDED = "occluded"
+    LOST = "lost"
+    RE_FOUND = "re-found"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole intrinsics of the depth image. K: (3, 3) float64, pixels."""
+
+    K: FloatArray
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D frame.
+
+    depth_m: (H, W) float32, z-depth, 0 = invalid. color: (H, W, 3) uint8 or None
+    (resized to the depth image where the source's differs). T_world_camera: (4, 4) float64,
+    world levelled (z up).
+    """
+
+    index: int
+    depth_m: FloatArray
+    camera: Camera
+    T_world_camera: FloatArray
+    color: NDArray[np.uint8] | None = None
+    timestamp_s: float | None = None
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Axis-aligned box in the world frame. center, extents (full): (3,) float64, metres."""
+
+    center: FloatArray
+    extents: FloatArray
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """p_world = scale_m * R @ p_canonical + t. R: (3, 3); t: (3,) metres; scale_m > 0."""
+
+    scale_m: float
+    R: FloatArray
+    t: FloatArray
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Proposals of one frame, M of them, strongest first.
+
+    boxes: world frame. class_probabilities: (M, 10) float32. scores: (M,) float32 in 0..1.
+    """
+
+    boxes: tuple[Box, ...]
+    class_probabilities: FloatArray
+    scores: FloatArray
+
+
+@dataclass(frozen=True)
+class ObjectEstimate:
+    """A posed detection: one object in one frame, completed.
+
+    score: 0..1. box: world, tight around the completed geometry. S_world_canonical: fitted
+    by Procrustes; pose_observable is False where the correspondences do not fix it (then the
+    similarity is the box with identity rotation). extents_m: (3,) full extents in object axes.
+    points_world, points_canonical: (P, 3) float32, occupied cells and their correspondences.
+    canonical: (64, 64, 64) float32 in 0..1, the canonical reconstruction.
+    """
+
+    class_id: int
+    score: float
+    box: Box
+    S_world_canonical: Similarity
+    pose_observable: bool
+    extents_m: FloatArray
+    points_world: FloatArray
+    points_canonical: FloatArray
+    canonical: FloatArray
+
+
+@dataclass(frozen=True)
+class TrackedObject:
+    """One track in one frame: what the user reads.
+
+    confidence: 0..1. box, S_world_canonical, extents_m as in ObjectEstimate, or the last ones
+    known while the object is not seen. observed: whether this frame contributed a detection.
+    """
+
+    track_id: int
+    frame_index: int
+    class_id: int
+    state: TrackState
+    confidence: float
+    box: Box
+    S_world_canonical: Similarity
+    extents_m: FloatArray
+    observed: bool
+
+
+@dataclass(frozen=True)
+class Track:
+    """One identity over time.
+
+    history: one entry a frame from birth until the end. canonical: (64, 64, 64) float32
+    in 0..1, the running mean of its reconstructions. class_id: by weighted vote.
+    """
+
+    track_id: int
+    class_id: int
+    history: tuple[TrackedObject, ...]
+    canonical: FloatArray
+
+
+@dataclass(frozen=True)
+class ObjectTruth:
+    """Ground truth of one object, constant over its sequence.
+
+    extents_m: (3,) full extents in object axes. occupancy: (64, 64, 64) bool over that box
+    (CONVENTIONS.md). hull: (H, 3) float32 vertices of the convex hull, object axes, metres.
+    """
+
+    gt_id: int
+    class_id: int
+    symmetry: Symmetry
+    extents_m: FloatArray
+    occupancy: NDArray[np.bool_]
+    hull: FloatArray
+    recipe: str = ""
+
+
+@dataclass(frozen=True)
+class ObjectFrameTruth:
+    """Ground truth of one object in one frame.
+
+    T_world_object: (4, 4). box: world, tight around the whole geometry. visible_pixels: pixels
+    of the object in the instance image. visible_fraction: those over the pixels it would have
+    alone and whole in a wider image. moving: whether it moved since the frame before.
+    """
+
+    gt_id: int
+    T_world_object: FloatArray
+    box: Box
+    visible_pixels: int
+    visible_fraction: float
+    moving: bool = False
+
+
+@dataclass(frozen=True)
+class SequenceTruth:
+    """Ground truth of a sequence: objects, and for each frame (same order as the frames)
+    every object, whether visible or not."""
+
+    objects: tuple[ObjectTruth, ...]
+    frames: tuple[tuple[ObjectFrameTruth, ...], ...]
+    image_size: tuple[int, int] = field(default=(320, 240))  # width, height of the id images
