@@ -76,8 +76,26 @@ class TrackingConfig:
     """[paper]"""
     running_mean_weight: Positive = 4.0
     """old : new = 4 : 1 [paper]"""
+    min_birth_score: Share = 0.3
+    """a weaker proposal may continue a track but starts none"""
+    duplicate_iou: Share = 0.5
+    """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""
+    max_speed_m_per_frame: Positive = 0.35
+    """the canonical pass matches nothing that would have moved faster than this"""
+    reach_slack_m: Positive = 0.3
+    """added to that way: noise of the centres"""
+    max_reach_m: Positive = 2.0
+    """no canonical match is farther from the last place, however long ago it was"""
+    expected_visible_share: Share = 0.5
+    """an unseen track with less of its surface in open view is occluded, else lost"""
+    occluded_decay: Share = 0.98
+    """factor on the confidence for each frame that a track is occluded"""
+    lost_decay: Share = 0.9
+    """factor on the confidence for each frame that a track is lost"""
     end_after_frames: Count = 90
     """a track unseen for this many frames has ended"""
+    end_after_visible_misses: Count = 30
+    """a track unseen for this many frames in which it should have been visible has ended"""
     offline: bool = False
     """run the paper's second pass over the whole sequence, which looks into the future"""
 
