@@ -1,0 +1,102 @@
+"""Which proposal continues which tracklet: the paper's two passes (Object Tracking)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.config import TrackingConfig
+from composenet.geometry.box import pairwise_iou
+from composenet.records import ObjectEstimate
+from composenet.tracking.affinity import (
+    canonical_iou,
+    center_distance_m,
+    occupancy_bits,
+    same_class,
+)
+from composenet.tracking.assignment import assign
+from composenet.tracking.tracklet import Tracklet
+from composenet.tracking.visibility import Visibility
+
+Pairs = tuple[tuple[int, int], ...]
+"""(tracklet, proposal) positions in the sequences given."""
+
+OTHER_CLASS = 0.5
+"""Boxes of unequal class attract each other this much less."""
+
+
+def order_and_deduplicate(
+    estimates: Sequence[ObjectEstimate], duplicate_iou: float
+) -> tuple[ObjectEstimate, ...]:
+    """Proposals strongest first (ties by place), whatever order they came in.
+
+    Of two of one class whose boxes overlap by more than duplicate_iou the weaker is dropped:
+    solid furniture cannot share that much space, so both are the same object.
+    """
+    ordered = sorted(estimates, key=lambda e: (-e.score, *np.asarray(e.box.center), e.class_id))
+    boxes, classes = [e.box for e in ordered], [e.class_id for e in ordered]
+    clash = (pairwise_iou(boxes, boxes) > duplicate_iou) & same_class(classes, classes)
+    kept: list[int] = []
+    for index in range(len(ordered)):
+        if not clash[index, kept].any():
+            kept.append(index)
+    return tuple(ordered[index] for index in kept)
+
+
+def match_boxes(
+    tracklets: Sequence[Tracklet], proposals: Sequence[ObjectEstimate], config: TrackingConfig
+) -> Pairs:
+    """First pass: overlap with the last box, gated by its IoU alone [paper].
+
+    Classes need not be equal, as a class read from one view errs more often than a place
+    does; between admissible pairs the equal class is preferred.
+    """
+    iou = pairwise_iou([t.box for t in tracklets], [p.box for p in proposals])
+    alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
+    return assign(iou * np.where(alike, 1.0, OTHER_CLASS), iou >= config.box_iou_gate)
+
+
+def match_shapes(
+    tracklets: Sequence[Tracklet],
+    views: Sequence[Visibility],
+    proposals: Sequence[ObjectEstimate],
+    frame_index: int,
+    config: TrackingConfig,
+) -> Pairs:
+    """Second pass, over what the first left: canonical IoU, gated [paper].
+
+    Two chairs look alike, so a pair must also be of one class, within `reach_m`, and not
+    a jump away from a place that still shows the object (`views`, one per tracklet). Of
+    several admissible partners a nearer one is preferred.
+    """
+    boxes, other_boxes = [t.box for t in tracklets], [p.box for p in proposals]
+    likeness = canonical_iou(
+        [t.model.bits for t in tracklets], [occupancy_bits(p.canonical) for p in proposals]
+    )
+    alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
+    nearness = _nearness(
+        center_distance_m(boxes, other_boxes),
+        np.array([frame_index - t.last_seen for t in tracklets]),
+        config,
+    )
+    still_there = np.array([view.still_there for view in views], dtype=bool)
+    stays = still_there[:, None] & (pairwise_iou(boxes, other_boxes) == 0)
+    admissible = (likeness >= config.canonical_iou_gate) & alike & (nearness > 0) & ~stays
+    return assign(likeness * nearness, admissible)
+
+
+def reach_m(frames_unseen: NDArray[np.int_], config: TrackingConfig) -> NDArray[np.float64]:
+    """How far the centre may have moved since it was seen, metres: the slack plus the
+    largest speed times the frames passed, up to a limit beyond which likeness is no proof."""
+    way = config.reach_slack_m + config.max_speed_m_per_frame * frames_unseen
+    return np.minimum(way, config.max_reach_m)
+
+
+def _nearness(
+    distance_m: NDArray[np.float64], frames_unseen: NDArray[np.int_], config: TrackingConfig
+) -> NDArray[np.float64]:
+    """1 at the last place, falling to 1/2 at the reach, 0 beyond."""
+    reach = reach_m(frames_unseen, config)[:, None]
+    return np.where(distance_m <= reach, 1 - 0.5 * distance_m / reach, 0.0)

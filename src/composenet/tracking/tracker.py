@@ -1,0 +1,95 @@
+"""Online tracking: frame by frame, with nothing from the future."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+from composenet.config import TrackingConfig, VolumeConfig
+from composenet.errors import SequenceError
+from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
+from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
+from composenet.tracking.tracklet import Tracklet
+from composenet.tracking.visibility import Visibility, surface_in_world, visibility
+
+T = TypeVar("T")
+
+
+class Tracker:
+    """Gives objects seen frame by frame their identities (paper, Object Tracking).
+
+    max_depth_m: beyond this nothing is detected, so nothing is expected to be seen.
+    """
+
+    def __init__(
+        self,
+        config: TrackingConfig | None = None,
+        max_depth_m: float = VolumeConfig.max_depth_m,
+    ) -> None:
+        self._config = config or TrackingConfig()
+        self._max_depth_m = max_depth_m
+        self._tracklets: list[Tracklet] = []
+        self._last_index: int | None = None
+
+    def update(
+        self, frame: Frame, estimates: Sequence[ObjectEstimate]
+    ) -> tuple[TrackedObject, ...]:
+        """Every track in this frame, by id: seen ones, unseen ones at their last pose, and,
+        once, those that ended in it.
+
+        The order of the estimates does not matter. Raises SequenceError for a frame whose
+        index is not larger than the one before.
+        """
+        self._advance(frame.index)
+        proposals = order_and_deduplicate(estimates, self._config.duplicate_iou)
+        alive = [t for t in self._tracklets if t.alive]
+
+        pairs = match_boxes(alive, proposals, self._config)
+        unseen = _others(alive, [row for row, _ in pairs])
+        unclaimed = _others(proposals, [column for _, column in pairs])
+        seen = [(alive[row], proposals[column]) for row, column in pairs]
+
+        views = [self._view(t, frame) for t in unseen]
+        if self._config.use_correspondences:
+            pairs = match_shapes(unseen, views, unclaimed, frame.index, self._config)
+            seen += [(unseen[row], unclaimed[column]) for row, column in pairs]
+            views = _others(views, [row for row, _ in pairs])
+            unseen = _others(unseen, [row for row, _ in pairs])
+            unclaimed = _others(unclaimed, [column for _, column in pairs])
+
+        for tracklet, proposal in seen:
+            tracklet.observe(frame.index, proposal)
+        for tracklet, view in zip(unseen, views, strict=True):
+            tracklet.miss(frame.index, view)
+        born = [self._birth(frame.index, p) for p in unclaimed if self._may_start(p)]
+        return tuple(t.latest for t in alive + born)
+
+    def tracks(self) -> tuple[Track, ...]:
+        """All tracks so far, ended ones included, by id."""
+        return tuple(t.track() for t in self._tracklets)
+
+    def _advance(self, index: int) -> None:
+        if self._last_index is not None and index <= self._last_index:
+            raise SequenceError(
+                f"frame {index} came after frame {self._last_index}: give frames in order, once"
+            )
+        self._last_index = index
+
+    def _view(self, tracklet: Tracklet, frame: Frame) -> Visibility:
+        points, spacing_m = surface_in_world(
+            tracklet.model.surface, tracklet.S_world_canonical, tracklet.box
+        )
+        return visibility(points, spacing_m, frame, self._max_depth_m)
+
+    def _may_start(self, proposal: ObjectEstimate) -> bool:
+        return proposal.score >= self._config.min_birth_score
+
+    def _birth(self, index: int, proposal: ObjectEstimate) -> Tracklet:
+        tracklet = Tracklet(len(self._tracklets) + 1, index, proposal, self._config)
+        self._tracklets.append(tracklet)
+        return tracklet
+
+
+def _others(items: Sequence[T], taken: Sequence[int]) -> list[T]:
+    """The items at positions that are not taken."""
+    return [item for position, item in enumerate(items) if position not in taken]

@@ -1,0 +1,136 @@
+"""One identity while it is being tracked: its last pose, its canonical model, its state.
+
+States, each frame:
+  seen                                        -> TRACKED, or RE_FOUND after an absence
+  unseen, its place hidden or out of view     -> OCCLUDED
+  unseen, its place in open view              -> LOST
+  unseen for too long, or LOST too many times -> ENDED, for good
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from composenet.records import (
+    CLASS_NAMES,
+    ObjectEstimate,
+    Similarity,
+    Track,
+    TrackedObject,
+    TrackState,
+)
+from composenet.tracking.canonical import CanonicalModel
+from composenet.tracking.visibility import Visibility
+
+if TYPE_CHECKING:
+    from composenet.config import TrackingConfig
+
+
+class Tracklet:
+    """Mutable; owned by one Tracker. Born from a proposal, then told of every frame either
+    that it was seen (`observe`) or that it was not (`miss`).
+
+    Confidence: while seen, the running mean of the scores (weighted as the canonical model)
+    times (1 - 0.5 ** hits), so that one detection counts half; while unseen, it decays by a
+    factor a frame, faster when lost than when occluded; 0 at the end.
+    """
+
+    def __init__(
+        self, track_id: int, frame_index: int, estimate: ObjectEstimate, config: TrackingConfig
+    ) -> None:
+        self.track_id = track_id
+        self._config = config
+        self.model = CanonicalModel(estimate.canonical.astype(np.float32))
+        self.state = TrackState.TRACKED
+        self._votes = np.zeros(len(CLASS_NAMES))
+        self._hits = 0
+        self._mean_score = estimate.score
+        self._confidence = 0.0
+        self._visible_misses = 0
+        self._history: list[TrackedObject] = []
+        self.S_world_canonical = estimate.S_world_canonical
+        self.extents_m = estimate.extents_m
+        self._pose_known = estimate.pose_observable
+        self._see(frame_index, estimate)
+
+    @property
+    def alive(self) -> bool:
+        """Whether it may still be matched."""
+        return self.state is not TrackState.ENDED
+
+    @property
+    def class_id(self) -> int:
+        """The class with the largest sum of scores so far."""
+        return int(np.argmax(self._votes))
+
+    @property
+    def latest(self) -> TrackedObject:
+        """The entry of the newest frame."""
+        return self._history[-1]
+
+    def observe(self, frame_index: int, estimate: ObjectEstimate) -> None:
+        """The frame shows it as `estimate`."""
+        absent = self.state in (TrackState.OCCLUDED, TrackState.LOST)
+        self.state = TrackState.RE_FOUND if absent else TrackState.TRACKED
+        weight = self._config.running_mean_weight
+        self._mean_score = (weight * self._mean_score + estimate.score) / (weight + 1)
+        self._update_shape(estimate, weight)
+        self._see(frame_index, estimate)
+
+    def miss(self, frame_index: int, view: Visibility) -> None:
+        """The frame does not show it, though `view` of its last place could be had."""
+        config = self._config
+        lost = view.expected >= config.expected_visible_share
+        self._visible_misses += lost
+        self._confidence *= config.lost_decay if lost else config.occluded_decay
+        self.state = TrackState.LOST if lost else TrackState.OCCLUDED
+        if (
+            frame_index - self.last_seen >= config.end_after_frames
+            or self._visible_misses >= config.end_after_visible_misses
+        ):
+            self.state = TrackState.ENDED
+            self._confidence = 0.0
+        self._record(frame_index, observed=False)
+
+    def track(self) -> Track:
+        """Everything known so far, as a record."""
+        return Track(self.track_id, self.class_id, tuple(self._history), self.model.mean)
+
+    def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
+        """Pose, extents and canonical model. An estimate whose pose is not observable says
+        where the object is, not how it is turned or shaped."""
+        if estimate.pose_observable:
+            self.model = self.model.updated(estimate.canonical, weight)
+        if estimate.pose_observable or not self._pose_known:
+            self.S_world_canonical = estimate.S_world_canonical
+            self.extents_m = estimate.extents_m
+            self._pose_known = estimate.pose_observable
+        else:
+            last = self.S_world_canonical
+            self.S_world_canonical = Similarity(last.scale_m, last.R, estimate.box.center)
+
+    def _see(self, frame_index: int, estimate: ObjectEstimate) -> None:
+        self.box = estimate.box
+        self.last_seen = frame_index
+        self._votes[estimate.class_id] += max(estimate.score, 1e-3)
+        self._hits += 1
+        self._visible_misses = 0
+        self._confidence = self._mean_score * (1 - 0.5**self._hits)
+        self._record(frame_index, observed=True)
+
+    def _record(self, frame_index: int, observed: bool) -> None:
+        self._history.append(
+            TrackedObject(
+                track_id=self.track_id,
+                frame_index=frame_index,
+                class_id=self.class_id,
+                state=self.state,
+                confidence=float(self._confidence),
+                box=self.box,
+                S_world_canonical=self.S_world_canonical,
+                extents_m=self.extents_m,
+                observed=observed,
+            )
+        )
