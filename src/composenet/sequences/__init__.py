@@ -1,0 +1,6 @@
+"""Any RGB-D recording as levelled frames: `open_sequence`."""
+
+from composenet.sequences.options import SequenceOptions
+from composenet.sequences.recording import RecordedSequence, open_sequence
+
+__all__ = ["RecordedSequence", "SequenceOptions", "open_sequence"]

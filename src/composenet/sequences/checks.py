@@ -1,0 +1,104 @@
+"""Doubts about a recording: errors where nothing can be done, notes where a user should look."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from composenet.errors import SequenceError
+from composenet.records import Camera, FloatArray
+from composenet.sequences.source import Source, SourceFrame
+
+_POSSIBLE_MEDIAN_M = (0.1, 30.0)
+_USUAL_MEDIAN_M = (0.4, 8.0)
+_COMMON_SCALES = (1000.0, 5000.0, 4000.0, 10000.0, 256.0, 100.0, 1.0)
+_MAX_STEP_M = 5.0
+_MAX_SPAN_M = 1000.0
+
+
+def check_camera(source: Source, K: FloatArray | None, width: int, height: int) -> Camera:
+    """The camera of the depth images. Raises SequenceError when K is missing or impossible."""
+    if K is None:
+        raise SequenceError(
+            f"{source.path}: no intrinsics; give --intrinsics fx,fy,cx,cy (pixels of the "
+            f"{width}x{height} depth images) or write {source.intrinsics_file}"
+        )
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    focal_fits = 0.1 * width < min(fx, fy) and max(fx, fy) < 20 * width
+    if not (np.isfinite(K).all() and focal_fits and 0 < cx < width and 0 < cy < height):
+        raise SequenceError(
+            f"{source.path}: intrinsics fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g} cannot belong to "
+            f"{width}x{height} depth images; check {source.intrinsics_file} or --intrinsics"
+        )
+    return Camera(K=np.asarray(K, dtype=np.float64), width=width, height=height)
+
+
+def camera_notes(camera: Camera) -> list[str]:
+    """A note when the principal point is far from the image's middle."""
+    cx, cy = camera.K[0, 2], camera.K[1, 2]
+    off = max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5))
+    if off < 0.1:
+        return []
+    return [
+        f"principal point ({cx:.1f}, {cy:.1f}) is far from the middle of the "
+        f"{camera.width}x{camera.height} depth images: are the intrinsics of another image size?"
+    ]
+
+
+def check_depth(path: Path, samples: Mapping[int, FloatArray], scale: float) -> list[str]:
+    """A note when the median depth is unusual for a room.
+
+    samples: depth images in metres by the given scale, 0 invalid. Raises SequenceError when no
+    room could have such depth.
+    """
+    median_m = float(np.median(np.concatenate([d[d > 0] for d in samples.values()])))
+    low, high = _USUAL_MEDIAN_M
+    if low <= median_m <= high:
+        return []
+    raw = median_m * scale
+    meant = next((s for s in _COMMON_SCALES if low <= raw / s <= high and s != scale), None)
+    text = f"median depth {_metres(median_m)}"
+    text += f": is depth_scale {meant:g} meant?" if meant else " is unusual for a room"
+    text += f" (depth_scale is {scale:g} units a metre; --depth-scale sets it)"
+    if not _POSSIBLE_MEDIAN_M[0] <= median_m <= _POSSIBLE_MEDIAN_M[1]:
+        raise SequenceError(f"{path}: {text}")
+    return [text]
+
+
+def check_trajectory(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
+    """A note on a camera that jumps. Raises SequenceError when its path is too large for metres.
+
+    frames: those used; without poses nothing is checked.
+    """
+    centers = [f.T_source_camera[:3, 3] for f in frames if f.T_source_camera is not None]
+    if len(centers) < 2:
+        return []
+    steps_m = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+    step_m, span_m = float(np.median(steps_m)), float(np.ptp(centers, axis=0).max())
+    if step_m > _MAX_STEP_M or span_m > _MAX_SPAN_M:
+        raise SequenceError(
+            f"{path}: the camera moves {_metres(step_m)} a frame and {_metres(span_m)} in all: "
+            "are the poses in millimetres? Metres are expected"
+        )
+    jumps = int((steps_m > _MAX_STEP_M).sum())
+    return [f"the camera jumps over {_MAX_STEP_M:g} m between frames {jumps} times"] * (jumps > 0)
+
+
+def floor_notes(camera_centers: FloatArray) -> list[str]:
+    """A note when the lowest plane is implausibly close under the camera, or above it.
+
+    camera_centers: (N, 3), levelled world with the supposed floor at z = 0.
+    """
+    height_m = float(np.median(camera_centers[:, 2]))
+    if 0.25 <= height_m <= 4:
+        return []
+    return [
+        f"the camera is {_metres(height_m)} above the lowest plane seen: the floor may not have "
+        "been in view, or the scale of poses and depth differ"
+    ]
+
+
+def _metres(value: float) -> str:
+    return f"{value:,.0f} m" if abs(value) >= 100 else f"{value:.2g} m"

@@ -1,0 +1,100 @@
+"""The plain folder: one file a frame, matched by name.
+
+```
+depth/NAME.png           uint16, millimetres, 0 = no measurement
+color/NAME.{jpg,png}     optional
+pose/NAME.txt            optional: 4x4, camera to world, metres
+camera-intrinsics.txt    optional: 3x3, of the depth images
+gravity-direction.txt    optional: 3 numbers, pointing down in the world
+```
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from composenet.errors import SequenceError
+from composenet.sequences.source import (
+    COLOR_SUFFIXES,
+    DEPTH_SUFFIXES,
+    Source,
+    SourceFrame,
+    images_by_stem,
+    natural_key,
+    read_gravity,
+    read_intrinsics,
+    read_numbers,
+    with_pose,
+)
+
+INTRINSICS_FILE = "camera-intrinsics.txt"
+
+
+def matches(path: Path) -> bool:
+    """Whether the folder looks like this format."""
+    return (path / "depth").is_dir()
+
+
+def read_source(path: Path) -> Source:
+    """The recording of a plain folder. Raises SequenceError."""
+    frames, warnings = matched_frames(path)
+    frames, has_poses = frames_with_poses(path / "pose", frames)
+    return Source(
+        path=path,
+        frames=frames,
+        has_poses=has_poses,
+        K=read_intrinsics(path / INTRINSICS_FILE, 3),
+        intrinsics_file=INTRINSICS_FILE,
+        depth_scale=1000.0,
+        gravity=read_gravity(path),
+        warnings=warnings,
+    )
+
+
+def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]]:
+    """Frames of `depth/` and `color/` in the natural order of their names, and warnings.
+
+    A colour image without depth is a frame with a problem, unless no name matches at all:
+    then colour is left out. Raises SequenceError when there is no depth image.
+    """
+    depth = images_by_stem(path / "depth", DEPTH_SUFFIXES)
+    color = images_by_stem(path / "color", COLOR_SUFFIXES)
+    if not depth:
+        raise SequenceError(f"{path / 'depth'}: no depth image (*.png) in it")
+    warnings: tuple[str, ...] = ()
+    if color and not depth.keys() & color.keys():
+        warnings = (f"{path / 'color'}: no file has the name of a depth image; colour left out",)
+        color = {}
+    names = sorted(depth.keys() | color.keys(), key=natural_key)
+    frames = tuple(
+        SourceFrame(
+            index=index,
+            name=name,
+            depth=depth.get(name),
+            color=color.get(name),
+            problem=None if name in depth else "no depth image",
+        )
+        for index, name in enumerate(names)
+    )
+    return frames, warnings
+
+
+def frames_with_poses(
+    folder: Path, frames: tuple[SourceFrame, ...]
+) -> tuple[tuple[SourceFrame, ...], bool]:
+    """The frames with their poses, and whether the recording has any."""
+    if not folder.is_dir() or not any(folder.glob("*.txt")):
+        return frames, False
+    return tuple(_posed(folder / f"{frame.name}.txt", frame) for frame in frames), True
+
+
+def _posed(path: Path, frame: SourceFrame) -> SourceFrame:
+    if frame.problem:
+        return frame
+    if not path.is_file():
+        return replace(frame, problem="no pose")
+    try:
+        return with_pose(frame, read_numbers(path, 16, "a 4x4 pose").reshape(4, 4))
+    except SequenceError:
+        return replace(frame, problem="pose is not a 4x4 matrix")

@@ -1,0 +1,252 @@
+"""Which way is up, and where is the floor: from the surfaces that frames show.
+
+A room's furniture and floor face straight up, its walls and fronts sideways. The up direction
+is the one that explains most surface normals that way, near where the camera's top points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.geometry.camera import back_project, subsample_camera, subsample_offset
+from composenet.geometry.transform import make_T, rotation_onto
+from composenet.records import Camera, FloatArray
+
+CAMERA_UP = np.array([0.0, -1.0, 0.0])
+"""the camera's top in its own axes"""
+
+_NORMALS_WIDTH = 160  # pixels: normals are taken on about this image width
+_NEAR_M, _FAR_M = 0.3, 6.0  # depth that normals are taken from
+_CONE_DEG = 60.0  # up is sought this far around where the camera's top points
+_PARALLEL_DEG, _SIDEWAYS_DEG = 8.0, 5.0  # a normal counts as facing up, or sideways
+_REFINE_DEG = (12.0, 8.0, 5.0, 4.0, 4.0, 4.0)  # shrinking windows of the mean shift
+_MIN_UP_SHARE = 0.03  # of all normals; fewer are no horizontal plane
+_FLOOR_BIN_M = 0.02
+_FLOOR_MIN_SHARE = 0.15  # of the largest horizontal plane; lower ones are reflections
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Oriented points of one or more frames. points: (N, 3) metres; normals: (N, 3), unit,
+    facing the camera; weights: (N,), the area a pixel stands for in square metres, limited so
+    that far pixels do not outweigh near ones."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    def moved(self, T_a_b: FloatArray) -> Surface:
+        """The surface of frame b in frame a."""
+        R = T_a_b[:3, :3]
+        return Surface(self.points @ R.T + T_a_b[:3, 3], self.normals @ R.T, self.weights)
+
+
+def merge(surfaces: list[Surface]) -> Surface:
+    """All points of several surfaces that share a frame; empty for an empty list."""
+    if not surfaces:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    return Surface(
+        np.concatenate([s.points for s in surfaces]),
+        np.concatenate([s.normals for s in surfaces]),
+        np.concatenate([s.weights for s in surfaces]),
+    )
+
+
+def surface_of(depth_m: FloatArray, camera: Camera) -> Surface:
+    """Oriented points, camera axes, of a depth image (H, W).
+
+    Normals are cross products of central differences over a coarse image; pixels whose
+    neighbours jump in depth, or that are seen at under 10 degrees, are left out.
+    """
+    factor = max(1, round(camera.width / _NORMALS_WIDTH))
+    o = subsample_offset(factor)
+    points = back_project(depth_m[o::factor, o::factor], subsample_camera(camera, factor)).astype(
+        np.float64
+    )
+    if min(points.shape[:2]) < 3:
+        return merge([])
+    right, left = points[1:-1, 2:], points[1:-1, :-2]
+    below, above = points[2:, 1:-1], points[:-2, 1:-1]
+    middle = points[1:-1, 1:-1]
+    normals = np.cross(below - above, right - left)
+    area = np.linalg.norm(normals, axis=-1)
+    distance = np.linalg.norm(middle, axis=-1)
+    z = np.stack([right[..., 2], left[..., 2], below[..., 2], above[..., 2], middle[..., 2]])
+    good = (z.min(axis=0) > _NEAR_M) & (z.max(axis=0) < _FAR_M) & (area > 0)
+    good &= np.ptp(z, axis=0) < 0.1 * middle[..., 2]
+    normals, area, middle, distance = normals[good], area[good], middle[good], distance[good]
+    normals /= area[:, None]
+    cosine = -(normals * middle).sum(axis=1) / distance
+    seen = cosine > np.sin(np.radians(10))
+    weights = np.minimum(area / 4, 4e-3)
+    return Surface(middle[seen], normals[seen], weights[seen])
+
+
+def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | None:
+    """Unit up direction (3,) in the surface's frame, or None where nothing faces up.
+
+    Candidates within 60 degrees of `roughly_up` are scored by the share of normals within
+    8 degrees of them plus half the share of those square to them (5 degrees), times the cosine
+    to `roughly_up`. Mean shift over the normals, its window shrinking to 4 degrees, refines the
+    best. None where under 3 % of the normals face that way.
+    """
+    total = surface.weights.sum()
+    if not total > 0:
+        return None
+    roughly_up = roughly_up / np.linalg.norm(roughly_up)
+    candidates = _directions(1500)
+    candidates = candidates[candidates @ roughly_up > np.cos(np.radians(_CONE_DEG))]
+    pick = np.random.default_rng(0).permutation(len(surface.weights))[:2000]
+    cosines = candidates @ surface.normals[pick].T
+    score = (cosines > np.cos(np.radians(_PARALLEL_DEG))) @ surface.weights[pick]
+    sideways = np.abs(cosines) < np.sin(np.radians(_SIDEWAYS_DEG))
+    score = (score + 0.5 * (sideways @ surface.weights[pick])) * (candidates @ roughly_up)
+    up = candidates[np.argmax(score)]
+    for window_deg in _REFINE_DEG:
+        near = surface.normals @ up > np.cos(np.radians(window_deg))
+        share = surface.weights[near].sum() / total
+        if share < _MIN_UP_SHARE:
+            return None
+        up = surface.weights[near] @ surface.normals[near]
+        up = up / np.linalg.norm(up)
+    return _plane_refined(surface, up)
+
+
+def _plane_refined(surface: Surface, up: FloatArray) -> NDArray[np.float64]:
+    """The normal of the largest plane square to `up`, which a wide plane gives better than
+    noisy normals do; `up` itself where the plane is under 1 m wide or turns it over 5 deg."""
+    flat = surface.normals @ up > np.cos(np.radians(15))
+    points, weights = surface.points[flat], surface.weights[flat]
+    height = points @ up
+    counts, edges = np.histogram(height, bins=_bins(height), weights=weights)
+    level = edges[np.argmax(np.convolve(counts, np.ones(3), mode="same"))] + _FLOOR_BIN_M / 2
+    near = np.abs(height - level) < 0.1
+    refined = np.asarray(up, dtype=np.float64)
+    up = refined
+    for window_m in (0.06, 0.04, 0.03, 0.03):
+        if np.ptp(points[near], axis=0).max(initial=0) < 1:
+            return up
+        middle = np.average(points[near], axis=0, weights=weights[near])
+        centered = points[near] - middle
+        _, vectors = np.linalg.eigh((centered * weights[near, None]).T @ centered)
+        refined = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
+        if refined @ up < np.cos(np.radians(5)):
+            return up
+        near = np.abs((points - middle) @ refined) < window_m
+    return refined
+
+
+def find_floor(surface: Surface) -> float | None:
+    """Height z, metres, of the floor of a levelled surface, or None where nothing faces up.
+
+    The lowest level of a histogram (2 cm bins, smoothed over 6 cm) of points that face up
+    within 15 degrees, among its peaks of at least 15 % of the largest; refined by the
+    median within 4 cm. Reflections below the floor fall under the share.
+    """
+    flat = surface.normals[:, 2] > np.cos(np.radians(15))
+    z, weights = surface.points[flat, 2], surface.weights[flat]
+    if weights.sum() <= _MIN_UP_SHARE * surface.weights.sum() or not len(z):
+        return None
+    counts, edges = np.histogram(z, bins=_bins(z), weights=weights)
+    smooth = np.convolve(counts, np.ones(3), mode="same")
+    padded = np.pad(smooth, 1)
+    peaks = (smooth >= padded[:-2]) & (smooth >= padded[2:])
+    peaks &= smooth >= _FLOOR_MIN_SHARE * smooth.max()
+    level = float(edges[np.argmax(peaks)] + _FLOOR_BIN_M / 2)
+    return float(np.median(z[np.abs(z - level) < 0.04]))
+
+
+def level_world(
+    surface: Surface, camera_up: FloatArray, gravity: FloatArray | None
+) -> tuple[NDArray[np.float64], list[str]]:
+    """`T_level_source` (4, 4) of a recording with poses, and notes for the user.
+
+    surface: of sampled frames, in the recording's world. camera_up: (3,), where the camera's
+    top points on average. Up is, in this order: against `gravity`; what `find_up` finds; the
+    world's axis within 45 degrees of `camera_up` and nearest to it; `camera_up`. The world is
+    turned by the smallest rotation that brings up to +z (so one that is z-up already is
+    hardly changed) and shifted along z only, so that the floor is z = 0.
+    """
+    notes = []
+    up = -gravity if gravity is not None else find_up(surface, camera_up)
+    if up is None:
+        axes = np.concatenate([np.eye(3), -np.eye(3)])
+        axis = axes[np.argmax(axes @ camera_up)]
+        near = axis @ camera_up > np.cos(np.radians(45)) * np.linalg.norm(camera_up)
+        up = axis if near else camera_up
+        notes.append("no horizontal plane found: up is guessed from how the camera is held")
+    R = rotation_onto(up, (0, 0, 1)) if np.linalg.norm(up) > 1e-6 else np.eye(3)
+    turned = surface.moved(make_T(R, np.zeros(3)))
+    floor = find_floor(turned)
+    if floor is None:
+        lowest = turned.points[:, 2]
+        floor = float(np.percentile(lowest, 2)) if len(lowest) else 0.0
+        notes.append("no floor found: z = 0 is the lowest surface seen")
+    return make_T(R, (0, 0, -floor)), notes
+
+
+@dataclass(frozen=True)
+class CameraLeveler:
+    """Levels frames one by one where there are no poses.
+
+    up: (3,), unit, camera axes, and height_m, the camera's above the floor: those of the last
+    frame that showed a horizontal plane, taken over by frames that show none.
+    """
+
+    up: FloatArray = field(default_factory=CAMERA_UP.copy)
+    height_m: float = 0.0
+
+    @staticmethod
+    def from_samples(surfaces: list[Surface]) -> CameraLeveler:
+        """The median over sampled frames, camera axes, for recordings that begin at a wall."""
+        start = CameraLeveler()
+        levelers = [start.level(surface)[0] for surface in surfaces]
+        levelers = [leveler for leveler in levelers if leveler is not start]
+        if not levelers:
+            return start
+        up = np.median([leveler.up for leveler in levelers], axis=0)
+        height_m = float(np.median([leveler.height_m for leveler in levelers]))
+        return CameraLeveler(up / np.linalg.norm(up), height_m)
+
+    def level(self, surface: Surface) -> tuple[CameraLeveler, NDArray[np.float64]]:
+        """The leveler for the next frame and `T_world_camera` (4, 4) of this one.
+
+        surface: this frame's, camera axes. The world has the camera above its origin, at the
+        height of the floor seen, with +x where the camera looks.
+        """
+        up = find_up(surface, CAMERA_UP)
+        leveler = self if up is None else replace(self, up=up)
+        R = _facing_x(leveler.up)
+        floor = None if up is None else find_floor(surface.moved(make_T(R, np.zeros(3))))
+        if floor is not None:
+            leveler = replace(leveler, height_m=-floor)
+        return leveler, make_T(R, (0, 0, leveler.height_m))
+
+
+def _facing_x(up: FloatArray) -> NDArray[np.float64]:
+    """(3, 3) rotation of camera axes to a world where `up` is +z and the camera looks at +x
+    (its top does, where it looks straight down or up)."""
+    ahead = np.array([0.0, 0.0, 1.0])
+    if abs(up[2]) > 0.999:
+        ahead = CAMERA_UP
+    x = ahead - up * (ahead @ up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+def _bins(height: FloatArray) -> NDArray[np.float64]:
+    """Edges of 2 cm bins over the heights."""
+    count = int(np.ptp(height) / _FLOOR_BIN_M) + 1
+    return height.min() + _FLOOR_BIN_M * np.arange(count + 1)
+
+
+def _directions(count: int) -> NDArray[np.float64]:
+    """(count, 3) directions spread evenly over the sphere (Fibonacci lattice)."""
+    i = np.arange(count) + 0.5
+    z = 1 - 2 * i / count
+    angle = np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)

@@ -1,0 +1,41 @@
+"""What a user may say about a recording that the recording does not say itself."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+from tyro.constructors import PrimitiveConstructorSpec
+
+from composenet.config import Count, Positive
+
+Intrinsics = tuple[float, float, float, float]
+
+
+def _parse(words: list[str]) -> Intrinsics:
+    fx, fy, cx, cy = (float(word) for word in words[0].split(","))
+    return fx, fy, cx, cy
+
+
+_COMMA_SEPARATED = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="FX,FY,CX,CY",
+    instance_from_str=_parse,
+    is_instance=lambda value: isinstance(value, tuple) and len(value) == 4,
+    str_from_instance=lambda value: [",".join(str(number) for number in value)],
+)
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class SequenceOptions:
+    """How to read a recording."""
+
+    intrinsics: Annotated[Intrinsics, _COMMA_SEPARATED] | None = None
+    """focal lengths and principal point of the depth images on disk, pixels; overrides the file"""
+    depth_scale: Positive | None = None
+    """depth units a metre: 1000 for millimetres; default: the format's own"""
+    max_depth_m: Positive = 10.0
+    """depth beyond this is no measurement"""
+    max_width: Annotated[Count, Field(ge=16)] = 480
+    """wider depth images are subsampled by the smallest whole factor that fits"""

@@ -1,0 +1,237 @@
+"""Any recording as a lazy sequence of levelled frames."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.errors import SequenceError
+from composenet.geometry.camera import subsample_camera, subsample_offset
+from composenet.geometry.transform import apply_T
+from composenet.records import Camera, Frame
+from composenet.sequences import checks, folder, scannet, tum
+from composenet.sequences.images import image_size, read_color, read_depth
+from composenet.sequences.leveling import (
+    CAMERA_UP,
+    CameraLeveler,
+    level_world,
+    merge,
+    surface_of,
+)
+from composenet.sequences.options import SequenceOptions
+from composenet.sequences.source import Source, SourceFrame, make_K
+
+_FORMATS = (tum, scannet, folder)
+_SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
+
+
+class RecordedSequence:
+    """Frames of a recording, read one at a time; made by `open_sequence`.
+
+    name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
+    where every frame is in its camera's own levelled frame. T_level_source: (4, 4), maps the
+    recording's own world to the levelled one (identity without poses). Iterate as often as
+    wanted; frames come in order, `Frame.index` counts the recording's frames, skipped ones
+    included.
+    """
+
+    def __init__(
+        self, source: Source, options: SequenceOptions, stride: int, max_frames: int | None
+    ) -> None:
+        self.name = source.path.resolve().name
+        self.has_poses = source.has_poses
+        self._source, self._options = source, options
+        self._skipped: dict[int, tuple[str, str]] = {}
+        self._colorless: dict[int, tuple[str, str]] = {}
+        self._depth_scale = options.depth_scale or source.depth_scale
+        chosen = source.frames[::stride][:max_frames]
+        self._frames = [frame for frame in chosen if self._usable(frame)]
+        full = self._common_camera()
+        self._factor = math.ceil(full.width / options.max_width)
+        self.camera = subsample_camera(full, self._factor)
+        self._full = full
+        self._notes = [*source.warnings, *checks.camera_notes(full)]
+        self._notes += checks.check_trajectory(source.path, self._frames)
+        samples = self._read_samples()
+        self._notes += checks.check_depth(source.path, samples, self._depth_scale)
+        self._level(samples)
+
+    def __len__(self) -> int:
+        """Number of frames that iteration tries; unreadable images found on the way are fewer."""
+        return len(self._frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in order. Raises SequenceError when not one of them could be read."""
+        leveler = self._camera_leveler
+        found = False
+        for entry in self._frames:
+            try:
+                depth_m = self._read_depth_m(entry)
+            except SequenceError as error:
+                self._skip(entry, str(error))
+                continue
+            if self.has_poses:
+                assert entry.T_source_camera is not None
+                T_world_camera = self.T_level_source @ entry.T_source_camera
+            else:
+                leveler, T_world_camera = leveler.level(surface_of(depth_m, self.camera))
+            found = True
+            yield Frame(
+                index=entry.index,
+                depth_m=depth_m,
+                camera=self.camera,
+                T_world_camera=T_world_camera,
+                color=self._read_color(entry),
+                timestamp_s=entry.timestamp_s,
+                name=entry.name,
+            )
+        if not found:
+            raise self._nothing_left()
+
+    @property
+    def skipped(self) -> list[tuple[str, str]]:
+        """(frame name, reason) of every frame left out so far, in order."""
+        return [self._skipped[index] for index in sorted(self._skipped)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know, one line each: doubts, and counts of what was left out."""
+        lines = list(self._notes)
+        for what, entries in (("skipped", self._skipped), ("without colour", self._colorless)):
+            for reason, count in Counter(reason for _, reason in entries.values()).items():
+                first = next(entries[i][0] for i in sorted(entries) if entries[i][1] == reason)
+                frames = "1 frame" if count == 1 else f"{count} frames"
+                lines.append(f"{frames} {what}: {reason} ({'first ' * (count > 1)}{first})")
+        return lines
+
+    def _usable(self, frame: SourceFrame) -> bool:
+        if frame.problem:
+            self._skip(frame, frame.problem)
+        return not frame.problem
+
+    def _skip(self, frame: SourceFrame, reason: str) -> None:
+        self._skipped[frame.index] = (frame.name, reason)
+
+    def _common_camera(self) -> Camera:
+        """The camera of the commonest depth size; frames of another size are skipped."""
+        sizes: dict[int, tuple[int, int]] = {}
+        for frame in self._frames:
+            try:
+                assert frame.depth is not None
+                sizes[frame.index] = image_size(frame.depth)
+            except SequenceError as error:
+                self._skip(frame, f"depth {error}")
+        if not sizes:
+            raise self._nothing_left()
+        (width, height), _ = Counter(sizes.values()).most_common(1)[0]
+        for frame in self._frames:
+            w, h = sizes.get(frame.index, (width, height))
+            if (w, h) != (width, height):
+                self._skip(frame, f"depth is {w}x{h}, the others are {width}x{height}")
+        self._frames = [frame for frame in self._frames if frame.index not in self._skipped]
+        given = self._options.intrinsics
+        K = self._source.K if given is None else make_K(*given)
+        return checks.check_camera(self._source, K, width, height)
+
+    def _read_samples(self) -> dict[int, NDArray[np.float32]]:
+        """Depth of up to 16 readable frames spread over the recording, by place in it."""
+        places = np.linspace(0, len(self._frames) - 1, min(_SAMPLES, len(self._frames)))
+        samples = {}
+        for place in np.round(places).astype(int):
+            try:
+                samples[int(place)] = self._read_depth_m(self._frames[place], far_m=np.inf)
+            except SequenceError as error:
+                self._skip(self._frames[place], str(error))
+        if not samples:
+            raise self._nothing_left()
+        return samples
+
+    def _level(self, samples: dict[int, NDArray[np.float32]]) -> None:
+        surfaces = {place: surface_of(depth, self.camera) for place, depth in samples.items()}
+        self.T_level_source = np.eye(4)
+        self._camera_leveler = CameraLeveler()
+        if not self.has_poses:
+            self._notes.append(
+                "no camera poses: every frame is tracked in its camera's own levelled frame, "
+                "so objects at rest move when the camera does"
+            )
+            self._camera_leveler = CameraLeveler.from_samples(list(surfaces.values()))
+        elif not self._source.levelled:
+            poses = {p: self._frames[p].T_source_camera for p in surfaces}
+            merged = merge([s.moved(poses[p]) for p, s in surfaces.items()])  # type: ignore[arg-type]
+            T_all = np.stack([f.T_source_camera for f in self._frames])  # type: ignore[misc]
+            up = (T_all[:, :3, :3] @ CAMERA_UP).mean(axis=0)
+            self.T_level_source, notes = level_world(merged, up, self._source.gravity)
+            self._notes += notes
+            self._notes += checks.floor_notes(apply_T(self.T_level_source, T_all[:, :3, 3]))
+
+    def _read_depth_m(self, frame: SourceFrame, far_m: float | None = None) -> NDArray[np.float32]:
+        """Depth (H, W), metres, subsampled, 0 beyond `far_m`. Raises SequenceError with the
+        reason alone."""
+        assert frame.depth is not None
+        try:
+            raw = read_depth(frame.depth)
+        except SequenceError as error:
+            raise SequenceError(f"depth {error}".replace("depth depth", "depth")) from None
+        if raw.shape != (self._full.height, self._full.width):
+            raise SequenceError("depth image changed its size while it was read")
+        o = subsample_offset(self._factor)
+        depth_m = raw[o :: self._factor, o :: self._factor].astype(np.float32)
+        depth_m /= self._depth_scale
+        depth_m[depth_m > (self._options.max_depth_m if far_m is None else far_m)] = 0
+        if not depth_m.any():
+            raise SequenceError("depth image holds no measurement")
+        return depth_m
+
+    def _read_color(self, frame: SourceFrame) -> NDArray[np.uint8] | None:
+        if frame.color is None:
+            return None
+        try:
+            return read_color(frame.color, self.camera.width, self.camera.height)
+        except SequenceError as error:
+            self._colorless[frame.index] = (frame.name, str(error))
+            return None
+
+    def _nothing_left(self) -> SequenceError:
+        name, reason = self.skipped[0]
+        return SequenceError(
+            f"{self._source.path}: none of its frames can be used "
+            f"({len(self._skipped)} tried; {name}: {reason})"
+        )
+
+
+def open_sequence(
+    path: Path | str,
+    *,
+    stride: int = 1,
+    max_frames: int | None = None,
+    options: SequenceOptions | None = None,
+) -> RecordedSequence:
+    """A recording as levelled frames, whatever its format (told from what the folder holds).
+
+    Every `stride`-th frame is read, at most `max_frames` of them. The levelled world is the
+    recording's own, turned by the smallest rotation that makes it z-up and shifted along z so
+    that the floor is z = 0 (rules in `leveling`); it is taken from up to 16 frames spread over
+    the recording.
+
+    Raises SequenceError with one line that says what is missing and what to do when the
+    recording cannot be used at all; single bad frames are skipped and reported in
+    `warnings` and `skipped`.
+    """
+    path = Path(path)
+    if stride < 1 or (max_frames is not None and max_frames < 1):
+        raise SequenceError(f"stride {stride} and max-frames {max_frames} must be 1 or more")
+    if not path.is_dir():
+        what = "is a file, not a folder" if path.is_file() else "no such folder"
+        raise SequenceError(f"{path}: {what}; a recording is a folder with depth/*.png in it")
+    for kind in _FORMATS:
+        if kind.matches(path):
+            return RecordedSequence(
+                kind.read_source(path), options or SequenceOptions(), stride, max_frames
+            )
+    raise SequenceError(f"{path}: neither a depth/ folder nor depth.txt (TUM RGB-D) in it")

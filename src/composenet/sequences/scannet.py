@@ -1,0 +1,42 @@
+"""Exported ScanNet, and what our own generator writes.
+
+```
+depth/N.png              uint16, millimetres
+color/N.{jpg,png}        may differ from depth in size; stretched onto it
+pose/N.txt               4x4, camera to world; invalid ones are -inf
+intrinsic/intrinsic_depth.txt    4x4 (intrinsic_color and the extrinsics are not used:
+                                 poses are those of the depth camera)
+annotations.json         only our generator's: its world is z-up, its floor at z = 0
+```
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from composenet.sequences.folder import frames_with_poses, matched_frames
+from composenet.sequences.source import Source, read_gravity, read_intrinsics
+
+INTRINSICS_FILE = "intrinsic/intrinsic_depth.txt"
+
+
+def matches(path: Path) -> bool:
+    """Whether the folder looks like this format."""
+    return (path / "depth").is_dir() and (path / "intrinsic").is_dir()
+
+
+def read_source(path: Path) -> Source:
+    """The recording of an exported ScanNet scene. Raises SequenceError."""
+    frames, warnings = matched_frames(path)
+    frames, has_poses = frames_with_poses(path / "pose", frames)
+    return Source(
+        path=path,
+        frames=frames,
+        has_poses=has_poses,
+        K=read_intrinsics(path / INTRINSICS_FILE, 4),
+        intrinsics_file=INTRINSICS_FILE,
+        depth_scale=1000.0,
+        gravity=read_gravity(path),
+        levelled=has_poses and (path / "annotations.json").is_file(),
+        warnings=warnings,
+    )

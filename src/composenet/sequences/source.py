@@ -1,0 +1,137 @@
+"""What a format's reader tells about a recording, and the text files they share."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.errors import SequenceError
+from composenet.records import FloatArray
+
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
+DEPTH_SUFFIXES = (".png",)
+
+
+@dataclass(frozen=True)
+class SourceFrame:
+    """One frame on disk. index: its place in the recording, skipped frames counted.
+
+    T_source_camera: (4, 4), in the recording's own world, None where it has no poses.
+    problem: why the frame cannot be used, None while it can.
+    """
+
+    index: int
+    name: str
+    depth: Path | None
+    color: Path | None = None
+    T_source_camera: FloatArray | None = None
+    timestamp_s: float | None = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording on disk, before any image is read.
+
+    K: (3, 3) intrinsics of the depth images as they lie there, None where the recording does
+    not say. intrinsics_file: where they belong. depth_scale: depth units a metre. gravity:
+    (3,) direction of gravity in the recording's world, if it says. levelled: its world is
+    z-up with the floor at z = 0 by construction.
+    """
+
+    path: Path
+    frames: tuple[SourceFrame, ...]
+    has_poses: bool
+    K: FloatArray | None
+    intrinsics_file: str
+    depth_scale: float
+    gravity: FloatArray | None = None
+    levelled: bool = False
+    warnings: tuple[str, ...] = ()
+
+
+def read_text(path: Path) -> str:
+    """Text of a file, undecodable bytes replaced. Raises SequenceError."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_numbers(path: Path, count: int, what: str) -> NDArray[np.float64]:
+    """The `count` numbers of a text file. Raises SequenceError when it holds anything else."""
+    words = read_text(path).replace(",", " ").split()
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count:
+        raise SequenceError(f"{path}: expected {what} ({count} numbers)")
+    return values
+
+
+def read_intrinsics(path: Path, size: int) -> NDArray[np.float64] | None:
+    """(3, 3) intrinsics from a `size` x `size` matrix file, None if there is no such file.
+
+    Raises SequenceError when it is no intrinsics matrix.
+    """
+    if not path.is_file():
+        return None
+    numbers = read_numbers(path, size * size, f"a {size}x{size} intrinsics matrix")
+    K = numbers.reshape(size, size)[:3, :3]
+    usable = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
+    if not usable or not np.allclose(K[2], [0, 0, 1], atol=1e-6):
+        raise SequenceError(f"{path}: not an intrinsics matrix (fx 0 cx, 0 fy cy, 0 0 1 expected)")
+    return make_K(K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+
+
+def make_K(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
+    """(3, 3) intrinsics matrix."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def read_gravity(folder: Path) -> NDArray[np.float64] | None:
+    """Unit direction of gravity from `gravity-direction.txt`, None if there is no such file."""
+    path = folder / "gravity-direction.txt"
+    if not path.is_file():
+        return None
+    gravity = read_numbers(path, 3, "the direction of gravity")
+    length = np.linalg.norm(gravity)
+    if not (np.isfinite(length) and length > 0):
+        raise SequenceError(f"{path}: {gravity} is no direction")
+    return gravity / length
+
+
+def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
+    """The frame with a camera-to-world pose, or with the problem that the pose has.
+
+    Rotations are accepted within 1 % of orthonormal and made exact.
+    """
+    if not np.isfinite(T).all():
+        return replace(frame, problem="pose is not finite (NaN or inf)")
+    R = T[:3, :3]
+    rigid = np.abs(R).max() < 2 and np.allclose(R.T @ R, np.eye(3), atol=0.02)
+    if not (rigid and np.linalg.det(R) > 0 and np.allclose(T[3], [0, 0, 0, 1], atol=1e-6)):
+        return replace(frame, problem="pose is not rigid (a rotation and a translation expected)")
+    U, _, Vt = np.linalg.svd(R)
+    exact = np.eye(4)
+    exact[:3, :3], exact[:3, 3] = U @ Vt, T[:3, 3]
+    return replace(frame, T_source_camera=exact)
+
+
+def images_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Image files of a folder by name without suffix; empty if there is no folder."""
+    if not folder.is_dir():
+        return {}
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
+    return {path.stem: path for path in reversed(files)}
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorts `2` before `10` and `frame-2` before `frame-10`."""
+    parts = re.split(r"(\d+)", name)
+    return [(1, int(p), "") if p.isdigit() else (0, 0, p) for p in parts]
