@@ -1,0 +1,128 @@
+"""Furniture meshes from a folder: `DIR/CLASS/*.{obj,ply,off,stl,glb}`.
+
+Files hold +Y up, front +Z, metres; they map by `p_object = p_cad[[2, 0, 1]]`.
+"""
+
+from __future__ import annotations
+
+import zlib
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from composenet.errors import DataError
+from composenet.records import CLASS_NAMES, Symmetry
+from composenet.synth.occupancy import occupancy
+from composenet.synth.shape import Material, Shape
+
+SUFFIXES = (".obj", ".ply", ".off", ".stl", ".glb")
+SYMMETRY_IOU = 0.92
+_SYMMETRY_CELLS = 32
+
+
+@lru_cache(maxsize=8)
+def load_library(folder: Path) -> dict[str, tuple[Path, ...]]:
+    """class name -> its mesh files, sorted.
+
+    Raises DataError where the folder holds no class folders with meshes.
+    """
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder; expected DIR/CLASS/*.obj, CLASS e.g. chair")
+    library = {
+        name: tuple(sorted(p for p in (folder / name).iterdir() if p.suffix.lower() in SUFFIXES))
+        for name in CLASS_NAMES
+        if (folder / name).is_dir()
+    }
+    library = {name: files for name, files in library.items() if files}
+    if not library:
+        raise DataError(
+            f"{folder}: no meshes found; expected CLASS/*.{{obj,ply,off,stl,glb}} "
+            f"with CLASS one of {', '.join(CLASS_NAMES)}"
+        )
+    return library
+
+
+@lru_cache(maxsize=512)
+def load_shape(path: Path, class_name: str) -> Shape:
+    """One mesh in object axes, centred. Its symmetry is measured on its occupancy.
+
+    Raises DataError where the file is no mesh, or is not in metres.
+    """
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    except Exception as error:  # the readers raise whatever they like
+        raise DataError(f"{path}: not a readable mesh ({error})") from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise DataError(f"{path}: expected a triangle mesh, found no faces")
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)[:, [2, 0, 1]]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    longest = float((high - low).max())
+    if not 0.1 <= longest <= 10.0:
+        raise DataError(f"{path}: {longest:.3g} m long; expected furniture in metres")
+    shape = Shape(
+        class_name=class_name,
+        style=f"cad:{path.parent.name}/{path.name}",
+        symmetry=Symmetry.NONE,
+        vertices=(vertices - (low + high) / 2).astype(np.float32),
+        faces=np.asarray(mesh.faces, dtype=np.int32),
+        face_part=_parts(mesh),
+        face_material=np.zeros(len(mesh.faces), dtype=np.int32),
+        materials=(_material(path),),
+        watertight=bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0),
+    )
+    return Shape(**{**vars(shape), "symmetry": symmetry_of(shape)})
+
+
+def symmetry_of(shape: Shape) -> Symmetry:
+    """The highest symmetry about the up axis under which the solid hardly changes."""
+    solid = np.argwhere(occupancy(shape, _SYMMETRY_CELLS))
+    points = ((solid + 0.5) / _SYMMETRY_CELLS - 0.5) * shape.extents_m
+    if _worst_iou(points, shape, [10 * k for k in range(1, 9)]) > SYMMETRY_IOU:
+        return Symmetry.INF
+    if _worst_iou(points, shape, [90]) > SYMMETRY_IOU:
+        return Symmetry.FOUR
+    if _worst_iou(points, shape, [180]) > SYMMETRY_IOU:
+        return Symmetry.TWO
+    return Symmetry.NONE
+
+
+def _worst_iou(points: NDArray[np.float64], shape: Shape, turns_deg: list[int]) -> float:
+    """Lowest IoU of the occupied cells with themselves, turned about z."""
+    cell = shape.extents_m / _SYMMETRY_CELLS
+    whole = np.zeros((_SYMMETRY_CELLS,) * 3, dtype=bool)
+    whole[_cells(points, cell)] = True
+    worst = 1.0
+    for degrees in turns_deg:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        # Look up where each cell comes from, so that turning leaves no gaps.
+        turned = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        inside = (np.abs(turned) < shape.extents_m / 2).all(axis=1)
+        shared = np.count_nonzero(whole[_cells(turned[inside], cell)])
+        worst = min(worst, shared / max(2 * len(points) - shared, 1))
+    return worst
+
+
+def _cells(points: NDArray[np.float64], cell: NDArray[np.float64]) -> tuple[NDArray[np.intp], ...]:
+    index = np.floor(points / cell + _SYMMETRY_CELLS / 2).astype(np.intp)
+    return tuple(np.clip(index, 0, _SYMMETRY_CELLS - 1).T)
+
+
+def _parts(mesh: trimesh.Trimesh) -> NDArray[np.int32]:
+    """(F,) connected component of each face."""
+    labels = trimesh.graph.connected_component_labels(
+        mesh.face_adjacency, node_count=len(mesh.faces)
+    )
+    return np.asarray(labels, dtype=np.int32)
+
+
+def _material(path: Path) -> Material:
+    """A colour that depends on the file's name only."""
+    rng = np.random.default_rng(zlib.crc32(path.name.encode()))
+    color = rng.uniform(0.2, 0.9, 3)
+    pattern = str(rng.choice(["plain", "wood", "fabric"]))
+    rgb = (float(color[0]), float(color[1]), float(color[2]))
+    return Material(rgb, pattern, float(rng.uniform(0.05, 0.2)), float(rng.uniform(0.05, 0.4)))

@@ -1,0 +1,176 @@
+"""Room programmes: which furniture a kind of room holds and how it stands together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from composenet.records import CLASS_NAMES
+from composenet.synth.placement import Layout
+from composenet.synth.room import make_room
+from composenet.synth.shape import Shape
+
+MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -> shape
+MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
+
+ROOM_KINDS = {
+    "living": (0.16, (3.8, 7.5)),
+    "bedroom": (0.20, (3.2, 5.5)),
+    "bathroom": (0.24, (3.0, 4.6)),
+    "dining": (0.14, (3.6, 7.0)),
+    "office": (0.12, (3.4, 7.0)),
+    "mixed": (0.14, (4.0, 8.0)),
+}
+
+
+def furnish(rng: np.random.Generator, make: MakeShape) -> Layout:
+    """A room with 3-9 pieces of furniture and at least 3 other things."""
+    kinds = list(ROOM_KINDS)
+    while True:
+        kind = str(rng.choice(kinds, p=[ROOM_KINDS[k][0] for k in kinds]))
+        size = rng.uniform(*ROOM_KINDS[kind][1], 2)
+        layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng)
+        _PROGRAMMES[kind](layout, make)
+        pieces = [i for i, item in enumerate(layout.items) if item.shape.class_name != "clutter"]
+        if len(pieces) < MIN_FURNITURE:
+            continue
+        _add_clutter(layout, make, pieces)
+        if len(layout.items) - len(pieces) >= MIN_CLUTTER:
+            return layout
+
+
+def _full(layout: Layout) -> bool:
+    return len(layout.items) >= MAX_FURNITURE
+
+
+def _add(layout: Layout, make: MakeShape, class_name: str) -> int | None:
+    """One piece where its kind usually stands; its index, or None where it does not fit."""
+    if _full(layout):
+        return None
+    wall = class_name not in ("chair", "table") and layout.rng.random() < 0.92
+    for _ in range(2):
+        shape = make(class_name)
+        if layout.against_wall(shape) if wall else layout.free(shape):
+            return len(layout.items) - 1
+    return None
+
+
+def _some(layout: Layout, make: MakeShape, class_name: str, low: int, high: int) -> None:
+    for _ in range(int(layout.rng.integers(low, high + 1))):
+        _add(layout, make, class_name)
+
+
+def _desk_with_chair(layout: Layout, make: MakeShape) -> None:
+    desk = _add(layout, make, "desk")
+    if desk is not None and layout.rng.random() < 0.85 and not _full(layout):
+        layout.before(desk, make("chair"), float(layout.rng.uniform(0.02, 0.25)), np.pi)
+
+
+def _table_with_chairs(layout: Layout, make: MakeShape) -> None:
+    """Chairs of one kind around a table, looking at it."""
+    table = _add(layout, make, "table")
+    if table is None:
+        return
+    chair = make("chair")
+    for angle in layout.rng.permutation(4)[: int(layout.rng.integers(2, 5))] * (np.pi / 2):
+        if not _full(layout):
+            gap = float(layout.rng.uniform(0.02, 0.3))
+            layout.beside(table, chair, float(angle), gap, np.pi)
+
+
+def _sofa_group(layout: Layout, make: MakeShape) -> None:
+    sofa = _add(layout, make, "sofa")
+    if sofa is None or _full(layout):
+        return
+    if layout.rng.random() < 0.75:
+        layout.before(sofa, make("table"), float(layout.rng.uniform(0.25, 0.5)), 0.0)
+
+
+def _bed_with_cabinet(layout: Layout, make: MakeShape) -> None:
+    bed = _add(layout, make, "bed")
+    if bed is None or _full(layout) or layout.rng.random() < 0.4:
+        return
+    angle = float(layout.rng.choice([-1, 1]) * np.pi / 2)
+    cabinet = make("cabinet")
+    if max(cabinet.extents_m) < 1.0:
+        layout.beside(bed, cabinet, angle, 0.08, -angle)
+
+
+def _living(layout: Layout, make: MakeShape) -> None:
+    _sofa_group(layout, make)
+    if layout.rng.random() < 0.4:
+        _sofa_group(layout, make)
+    _some(layout, make, "bookshelf", 0, 2)
+    _some(layout, make, "cabinet", 0, 2)
+    _some(layout, make, "chair", 0, 2)
+    if layout.rng.random() < 0.4:
+        _table_with_chairs(layout, make)
+
+
+def _bedroom(layout: Layout, make: MakeShape) -> None:
+    for _ in range(int(layout.rng.integers(1, 3))):
+        _bed_with_cabinet(layout, make)
+    _some(layout, make, "cabinet", 1, 2)
+    _some(layout, make, "bookshelf", 0, 1)
+    if layout.rng.random() < 0.5:
+        _desk_with_chair(layout, make)
+    _some(layout, make, "chair", 0, 1)
+
+
+def _bathroom(layout: Layout, make: MakeShape) -> None:
+    _some(layout, make, "bathtub", 1, 2)
+    _some(layout, make, "sink", 1, 2)
+    _some(layout, make, "toilet", 1, 2)
+    _some(layout, make, "cabinet", 0, 1)
+    _some(layout, make, "chair", 0, 1)
+
+
+def _dining(layout: Layout, make: MakeShape) -> None:
+    _table_with_chairs(layout, make)
+    _some(layout, make, "cabinet", 1, 2)
+    _some(layout, make, "sink", 0, 1)
+    _some(layout, make, "bookshelf", 0, 1)
+
+
+def _office(layout: Layout, make: MakeShape) -> None:
+    for _ in range(int(layout.rng.integers(1, 4))):
+        _desk_with_chair(layout, make)
+    _some(layout, make, "bookshelf", 0, 2)
+    _some(layout, make, "cabinet", 0, 1)
+    if layout.rng.random() < 0.3:
+        _add(layout, make, "sofa")
+
+
+def _mixed(layout: Layout, make: MakeShape) -> None:
+    for class_name in layout.rng.choice(CLASS_NAMES, int(layout.rng.integers(5, 10))):
+        _add(layout, make, str(class_name))
+
+
+_PROGRAMMES: dict[str, Callable[[Layout, MakeShape], None]] = {
+    "living": _living,
+    "bedroom": _bedroom,
+    "bathroom": _bathroom,
+    "dining": _dining,
+    "office": _office,
+    "mixed": _mixed,
+}
+
+
+def _add_clutter(layout: Layout, make: MakeShape, pieces: list[int]) -> None:
+    """Small things on furniture, and lamps, plants, boxes on the floor."""
+    holders = [i for i in pieces if layout.items[i].shape.class_name in _HOLDERS]
+    for index in holders:
+        for _ in range(int(layout.rng.integers(0, 4))):
+            layout.on_top(index, make("small clutter"))
+    on_floor = 0
+    wanted = int(layout.rng.integers(2, 6))
+    for _ in range(3 * wanted):
+        shape = make("clutter")
+        placed = layout.against_wall(shape) if layout.rng.random() < 0.5 else layout.free(shape)
+        on_floor += placed
+        if on_floor >= wanted:
+            return
+
+
+_HOLDERS = ("table", "desk", "cabinet", "bookshelf")

@@ -1,0 +1,211 @@
+"""Depth cameras: structured light and time of flight, as they really fail.
+
+Structured light measures disparity: its noise grows with depth squared, disparity is
+quantised, and surfaces the projector cannot see (beside foreground edges) have no depth.
+Time of flight measures phase: noise grows where little light returns, and pixels on an edge
+mix both surfaces (flying pixels). Both lose grazing, dark, shiny and far surfaces, in patches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.records import Camera, FloatArray
+
+
+class SensorKind(StrEnum):
+    STRUCTURED_LIGHT = "structured light"
+    TIME_OF_FLIGHT = "time of flight"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One depth camera.
+
+    range_m: nearest and farthest depth. baseline_m: projector to camera (structured light).
+    disparity_step_px: quantisation, in pixels of the image drawn. disparity_noise_px: standard
+    deviation, of disparity. phase_noise: standard deviation at 1 m on a white surface, metres
+    (time of flight). lateral_px: jitter of where a pixel looks. grazing_cosine: surfaces
+    steeper than that return nothing. loss: 0..1, how readily dark and shiny surfaces vanish.
+    edge_loss: share of pixels on depth edges without depth. warp: relative depth error that
+    varies smoothly over the image.
+    """
+
+    kind: SensorKind
+    range_m: tuple[float, float]
+    baseline_m: float
+    disparity_step_px: float
+    disparity_noise_px: float
+    phase_noise: float
+    lateral_px: float
+    grazing_cosine: float
+    loss: float
+    edge_loss: float
+    warp: float
+
+
+def sample_sensor(rng: np.random.Generator) -> Sensor:
+    """A camera of either kind with its own faults."""
+    kind = list(SensorKind)[int(rng.integers(2))]
+    return Sensor(
+        kind=kind,
+        range_m=(float(rng.uniform(0.3, 0.5)), float(rng.uniform(6.0, 8.0))),
+        baseline_m=float(rng.uniform(0.05, 0.08)),
+        disparity_step_px=float(rng.choice([1 / 16, 1 / 8])),
+        disparity_noise_px=float(rng.uniform(0.01, 0.06)),
+        phase_noise=float(rng.uniform(0.001, 0.003)),
+        lateral_px=float(rng.uniform(0.2, 0.7)),
+        grazing_cosine=float(rng.uniform(0.08, 0.2)),
+        loss=float(rng.uniform(0.1, 0.8)),
+        edge_loss=float(rng.uniform(0.1, 0.7)),
+        warp=float(rng.uniform(0.0, 0.008)),
+    )
+
+
+def measure(
+    sensor: Sensor,
+    clean_depth_m: NDArray[np.float32],
+    surface: NDArray[np.float32],
+    camera: Camera,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """What the camera reports, in whole millimetres.
+
+    clean_depth_m: (H, W), 0 = nothing there. surface: (H, W, 3) cosine of incidence,
+    brightness and shininess (render.surface). Returns (H, W) float32 metres, 0 = no depth.
+    """
+    height, width = clean_depth_m.shape
+    noise = rng.standard_normal((4, height, width), dtype=np.float32)
+    chance = rng.random((height, width), dtype=np.float32)
+    patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
+    warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
+    focal = float(camera.K[0, 0])
+    light = sensor.kind is SensorKind.STRUCTURED_LIGHT
+    if light:
+        lit = _projector_sees(clean_depth_m, focal * sensor.baseline_m)
+    else:
+        lit = np.ones((height, width), dtype=np.bool_)
+    depth = _measure(
+        clean_depth_m,
+        surface,
+        lit,
+        noise,
+        chance,
+        patches,
+        warps,
+        light,
+        sensor.range_m,
+        (focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
+        sensor.phase_noise,
+        sensor.lateral_px,
+        (sensor.grazing_cosine, sensor.loss, sensor.edge_loss),
+    )
+    return as_stored(depth)
+
+
+def as_stored(depth_m: FloatArray) -> NDArray[np.float32]:
+    """Depth as a 16-bit millimetre image gives it back."""
+    return (np.rint(depth_m * 1000.0) / 1000.0).astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _projector_sees(depth, focal_baseline):  # type: ignore[no-untyped-def]
+    """Whether the projector, at the baseline to the camera's right, sees each pixel: sweeping
+    a row away from the projector, its columns must keep descending."""
+    height, width = depth.shape
+    lit = np.ones((height, width), dtype=np.bool_)
+    for v in range(height):
+        nearest = -1e9
+        for u in range(width):
+            if depth[v, u] <= 0:
+                continue
+            column = u - focal_baseline / depth[v, u]
+            # A pixel further right must also lie further right for the projector.
+            if column < nearest - 0.5:
+                lit[v, u] = False
+            else:
+                nearest = max(nearest, column)
+    return lit
+
+
+@numba.njit(cache=True, nogil=True)
+def _bilinear(grid, y, x):  # type: ignore[no-untyped-def]
+    i, j = int(y), int(x)
+    i, j = min(i, grid.shape[0] - 2), min(j, grid.shape[1] - 2)
+    a, b = y - i, x - j
+    top = grid[i, j] * (1 - b) + grid[i, j + 1] * b
+    return top * (1 - a) + (grid[i + 1, j] * (1 - b) + grid[i + 1, j + 1] * b) * a
+
+
+@numba.njit(cache=True, nogil=True)
+def _edge_step(depth, v, u):  # type: ignore[no-untyped-def]
+    """Largest relative depth step to a neighbour, and that neighbour's depth."""
+    height, width = depth.shape
+    z, step, other = depth[v, u], 0.0, depth[v, u]
+    for dv, du in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        i, j = v + dv, u + du
+        if 0 <= i < height and 0 <= j < width:
+            difference = abs(depth[i, j] - z) / z
+            if difference > step:
+                step, other = difference, depth[i, j]
+    return step, other
+
+
+@numba.njit(cache=True, nogil=True)
+def _measure(  # type: ignore[no-untyped-def]
+    clean,
+    surface,
+    lit,
+    noise,
+    chance,
+    patches,
+    warps,
+    light,
+    limits,
+    stereo,
+    phase,
+    lateral,
+    losses,
+):
+    height, width = clean.shape
+    focal_baseline, step_px, noise_px = stereo
+    grazing, loss, edge_loss = losses
+    out = np.zeros((height, width), dtype=np.float32)
+    for v in range(height):
+        for u in range(width):
+            # The same jitter decides depth and surface, so edges wander as a whole.
+            i = min(max(int(np.rint(v + lateral * noise[0, v, u])), 0), height - 1)
+            j = min(max(int(np.rint(u + lateral * noise[1, v, u])), 0), width - 1)
+            z = clean[i, j]
+            if z < limits[0] or z > limits[1] or not lit[i, j]:
+                continue
+            cosine, brightness, shininess = surface[i, j]
+            if cosine < grazing * (0.5 + chance[v, u]):
+                continue
+            step, other = _edge_step(clean, i, j)
+            if step > 0.04 and chance[v, u] < edge_loss:
+                continue
+            returned = brightness * (0.3 + 0.7 * cosine) * (1 - 0.6 * shininess)
+            needed = loss * 0.25 * (0.3 + z / limits[1]) ** 2
+            patch = _bilinear(patches, v / 8, u / 8)
+            if returned < needed * (0.3 + 1.4 * patch):
+                continue
+            z *= 1 + _bilinear(warps, v / height * 2.99, u / width * 3.99)
+            if light:
+                spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
+                disparity = focal_baseline / z + spread * noise[2, v, u]
+                # Finer steps than the quantum arise where neighbouring windows disagree.
+                disparity = np.rint(disparity / step_px + 0.15 * noise[3, v, u]) * step_px
+                z = focal_baseline / disparity if disparity > 0 else 0.0
+            else:
+                if step > 0.04 and other > 0 and chance[v, u] > 0.5:
+                    z += (other - z) * (chance[v, u] - 0.5) * 2
+                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * noise[2, v, u]
+            if limits[0] <= z <= limits[1]:
+                out[v, u] = z
+    return out
