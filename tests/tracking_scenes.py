@@ -17,7 +17,7 @@ from composenet.records import Box, Camera, Frame, ObjectEstimate, Similarity
 
 CHAIR, DESK, TABLE = 4, 5, 8
 WALL_M = 6.0
-CAMERA = Camera(K=np.array([[140.0, 0, 79.5], [0, 140.0, 59.5], [0, 0, 1]]), width=160, height=120)
+CAMERA = Camera(K=np.array([[140.0, 0, 79.3], [0, 140.0, 59.3], [0, 0, 1]]), width=160, height=120)
 _C, _S = np.cos(0.2), np.sin(0.2)
 LOOK_ALONG_X = np.array([[0.0, -_S, _C], [-1, 0, 0], [0, -_C, -_S]])
 SIZE = np.array([0.6, 0.6, 0.9])

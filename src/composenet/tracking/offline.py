@@ -24,8 +24,8 @@ def link_offline(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track
     (binarised at 0.5, gated, optimal assignment; paper, Object Tracking); single unmatched
     proposals are tracks of one frame here, so they join too. Unless it moves faster than
     furniture can (`association.reach_m`). Repeated until nothing matches. A merged track has
-    an entry for every frame from its birth to its end, and the class of the whole track in
-    each. With use_correspondences off, the tracks are returned as they are.
+    an entry for every frame that `tracks` tell of, from its birth to its end, and the class of
+    the whole track in each. With use_correspondences off, the tracks are returned as they are.
     """
     if not config.use_correspondences:
         return tuple(tracks)

@@ -20,6 +20,8 @@ NEAR_M = 0.05
 """Points nearer to the camera plane cannot be seen."""
 TOLERANCE_M = 0.1
 """A measured depth within this of a surface point agrees with it: completion is not exact."""
+CLOSED = 2.0
+"""Cells of the object's own z-buffer are this many point spacings wide, to have no holes."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def visibility(
     if len(points) == 0:
         return Visibility(0.0, 0.0)
     pixels, z = project(points, camera), points[:, 2]
-    cell_px = max(1.0, 1.5 * camera.K[0, 0] * spacing_m / float(np.median(z)))
+    cell_px = max(1.0, CLOSED * camera.K[0, 0] * spacing_m / float(np.median(z)))
     front = _front(pixels, z, cell_px)
     columns, rows = np.rint(pixels[front]).T
     z = z[front]

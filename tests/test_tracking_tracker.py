@@ -1,0 +1,319 @@
+"""Online tracking: identities, states, confidence and their laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from composenet.config import TrackingConfig
+from composenet.errors import SequenceError
+from composenet.geometry.transform import make_T, rotation_z
+from composenet.records import Box, Similarity, TrackState
+from composenet.tracking.tracker import Tracker
+from tracking_scenes import CHAIR, DESK, SIZE, TABLE, block, frame, screen, thing
+
+CONFIG = TrackingConfig()
+AWAY, HIDE = frame(0, yaw=np.pi / 2), frame(0, [screen(1.5, 0.0)])
+EMPTY = np.zeros((64, 64, 64), np.float32)
+
+
+def run(stream, config=CONFIG):
+    """Tracker and its outputs for a list of (Frame or None, estimates); frames are numbered."""
+    tracker, outputs = Tracker(config), []
+    for index, (view, estimates) in enumerate(stream):
+        view = frame(0, [e.box for e in estimates]) if view is None else view
+        outputs.append(tracker.update(replace(view, index=index), estimates))
+    return tracker, outputs
+
+
+def ids_seen(output):
+    return [entry.track_id for entry in output if entry.observed]
+
+
+def seen_at(outputs):
+    """For each frame the ids of what is seen, ordered by y."""
+    return [
+        [e.track_id for e in sorted(output, key=lambda e: e.box.center[1]) if e.observed]
+        for output in outputs
+    ]
+
+
+def test_a_sliding_object_keeps_its_id():
+    tracker, outputs = run([(None, [thing(3, 0.1 * step)]) for step in range(10)])
+    assert seen_at(outputs) == [[1]] * 10
+    (track,) = tracker.tracks()
+    assert [entry.frame_index for entry in track.history] == list(range(10))
+    assert {entry.state for entry in track.history} == {TrackState.TRACKED}
+    np.testing.assert_allclose(track.history[-1].box.center[:2], [3, 0.9])
+
+
+def test_two_crossing_objects_keep_their_ids():
+    way = np.linspace(-1, 1, 17)
+    stream = [(None, [thing(2.5, y), thing(3.2, -y)]) for y in way]
+    _, outputs = run(stream)
+    near = [next(e.track_id for e in out if e.box.center[0] == 2.5) for out in outputs]
+    far = [next(e.track_id for e in out if e.box.center[0] == 3.2) for out in outputs]
+    assert len(set(near)) == len(set(far)) == 1
+    assert near[0] != far[0]
+
+
+SEEN = (None, [thing(3, 0)])
+T, O, L, R, E = (
+    TrackState.TRACKED,
+    TrackState.OCCLUDED,
+    TrackState.LOST,
+    TrackState.RE_FOUND,
+    TrackState.ENDED,
+)
+SHORT = replace(CONFIG, end_after_frames=4, end_after_visible_misses=2)
+
+
+@pytest.mark.parametrize(
+    ("stream", "states"),
+    [
+        pytest.param([SEEN, SEEN], [T, T], id="tracked"),
+        pytest.param([SEEN, (HIDE, [])], [T, O], id="hidden: occluded"),
+        pytest.param([SEEN, (AWAY, [])], [T, O], id="out of view: occluded"),
+        pytest.param([SEEN, (frame(0), [])], [T, L], id="place in view: lost"),
+        pytest.param([SEEN, (HIDE, []), SEEN, SEEN], [T, O, R, T], id="occluded: re-found"),
+        pytest.param([SEEN, (frame(0), []), SEEN, SEEN], [T, L, R, T], id="lost: re-found"),
+        pytest.param([SEEN, (HIDE, []), (frame(0), [])], [T, O, L], id="occluded: lost"),
+        pytest.param([SEEN, (frame(0), []), (HIDE, [])], [T, L, O], id="lost: occluded"),
+        pytest.param([SEEN, (frame(0), []), (frame(0), [])], [T, L, E], id="lost: ended"),
+        pytest.param([SEEN] + [(HIDE, [])] * 4, [T, O, O, O, E], id="occluded: ended"),
+        pytest.param(
+            [SEEN, (frame(0), []), SEEN, (frame(0), []), SEEN],
+            [T, L, R, L, R],
+            id="being seen forgives misses",
+        ),
+    ],
+)
+def test_states(stream, states):
+    tracker, _ = run(stream, SHORT)
+    (track,) = tracker.tracks()
+    assert [entry.state for entry in track.history] == states
+    assert [entry.observed for entry in track.history] == [s in (T, R) for s in states]
+
+
+def test_an_ended_track_is_told_once_and_never_returns():
+    gone = (frame(0), [])
+    tracker, outputs = run([SEEN, gone, gone, gone, SEEN], SHORT)
+    assert [[(e.track_id, e.state) for e in out] for out in outputs] == [
+        [(1, T)],
+        [(1, L)],
+        [(1, E)],
+        [],
+        [(2, T)],
+    ]
+    assert [len(track.history) for track in tracker.tracks()] == [3, 1]
+    assert tracker.tracks()[0].history[-1].confidence == 0
+
+
+def test_an_unseen_track_keeps_its_last_pose():
+    _, outputs = run([SEEN, (HIDE, [])])
+    (before,), (after,) = outputs
+    assert after.box == before.box
+    assert after.S_world_canonical == before.S_world_canonical
+    np.testing.assert_array_equal(after.extents_m, SIZE)
+
+
+JUMP = [SEEN, (None, [thing(3, 0.6)])]
+
+
+def test_a_jump_beyond_the_boxes_is_matched_by_shape():
+    _, outputs = run(JUMP)
+    assert seen_at(outputs) == [[1], [1]]
+    assert outputs[1][0].state is T
+
+
+def test_without_correspondences_the_jump_is_a_new_object():
+    _, outputs = run(JUMP, replace(CONFIG, use_correspondences=False))
+    assert seen_at(outputs) == [[1], [2]]
+
+
+@pytest.mark.parametrize(
+    ("second", "view"),
+    [
+        pytest.param(thing(3, 0.6, class_id=DESK), None, id="another class"),
+        pytest.param(thing(3, 0.6, canonical=block(hollow=True)), None, id="another shape"),
+        pytest.param(thing(3, 1.4), None, id="faster than furniture moves"),
+        pytest.param(
+            thing(3, 0.62),
+            frame(0, [thing(3, 0).box, thing(3, 0.62).box]),
+            id="the place still shows the object",
+        ),
+    ],
+)
+def test_no_match_by_shape(second, view):
+    _, outputs = run([SEEN, (view, [second])])
+    assert ids_seen(outputs[1]) == [2]
+
+
+def test_reach_grows_while_unseen_up_to_its_limit():
+    for gap, ids in ((1, [2]), (4, [1])):
+        _, outputs = run([SEEN] + [(AWAY, [])] * gap + [(None, [thing(3, 1.5)])])
+        assert ids_seen(outputs[-1]) == ids
+    _, outputs = run([SEEN] + [(AWAY, [])] * 20 + [(None, [thing(3, 2.5)])])
+    assert ids_seen(outputs[-1]) == [2]
+
+
+def test_of_two_alike_the_nearer_is_re_matched():
+    _, outputs = run([(None, [thing(3, 0)]), (AWAY, []), (None, [thing(3, 0.7), thing(3, -0.9)])])
+    by_y = {e.box.center[1]: e.track_id for e in outputs[-1]}
+    assert by_y == {0.7: 1, -0.9: 2}
+
+
+def test_class_is_a_weighted_vote():
+    classes = [(CHAIR, 0.5), (TABLE, 0.4), (TABLE, 0.4), (CHAIR, 0.35)]
+    tracker, outputs = run([(None, [thing(3, 0, class_id=c, score=s)]) for c, s in classes])
+    assert [out[0].class_id for out in outputs] == [CHAIR, CHAIR, TABLE, CHAIR]
+    assert tracker.tracks()[0].class_id == CHAIR
+
+
+def test_the_equal_class_is_preferred_among_overlapping_boxes():
+    first = [thing(3, -0.15, class_id=CHAIR, score=0.9), thing(3, 0.15, class_id=TABLE, score=0.8)]
+    second = [thing(3, 0.0, class_id=CHAIR, score=0.9), thing(3, 0.05, class_id=TABLE, score=0.8)]
+    _, outputs = run([(None, first), (None, second)])
+    assert [(e.track_id, e.class_id) for e in outputs[1]] == [(1, CHAIR), (2, TABLE)]
+
+
+def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
+    pair = [thing(3, 0, score=0.6), thing(3, 0.1, score=0.9)]
+    _, outputs = run([(None, pair)])
+    assert [e.confidence for e in outputs[0]] == [0.45]
+    _, outputs = run([(None, [thing(3, 0, score=0.1)]), SEEN, (None, [thing(3, 0, score=0.1)])])
+    assert seen_at(outputs) == [[], [1], [1]]
+
+
+def test_canonical_model_is_the_running_mean():
+    shapes = [block(), block(hollow=True), block()]
+    tracker, _ = run([(None, [thing(3, 0, canonical=shape)]) for shape in shapes])
+    expected = (4 * (4 * shapes[0] + shapes[1]) / 5 + shapes[2]) / 5
+    np.testing.assert_allclose(tracker.tracks()[0].canonical, expected, atol=1e-6)
+
+
+def test_an_unobservable_pose_keeps_rotation_shape_and_model():
+    posed = thing(3, 0, size=(0.9, 0.6, 0.9), yaw=0.3)
+    vague = thing(3, 0.1, canonical=EMPTY, observable=False)
+    tracker, outputs = run([(None, [posed]), (None, [vague])])
+    (entry,) = outputs[1]
+    np.testing.assert_array_equal(entry.S_world_canonical.R, rotation_z(0.3))
+    np.testing.assert_allclose(entry.S_world_canonical.t, vague.box.center)
+    np.testing.assert_array_equal(entry.extents_m, [0.9, 0.6, 0.9])
+    np.testing.assert_array_equal(tracker.tracks()[0].canonical, posed.canonical)
+
+
+def test_an_unobservable_pose_is_replaced_by_the_first_observable():
+    _, outputs = run([(None, [thing(3, 0, observable=False)]), (None, [thing(3, 0, yaw=0.3)])])
+    np.testing.assert_array_equal(outputs[1][0].S_world_canonical.R, rotation_z(0.3))
+
+
+def test_confidence_grows_with_hits_and_decays_while_unseen():
+    stream = [SEEN] * 3 + [(HIDE, [])] * 2 + [(frame(0), [])] * 2 + [SEEN]
+    _, outputs = run(stream)
+    values = [out[0].confidence for out in outputs]
+    seen = [0.9 * (1 - 0.5**hits) for hits in (1, 2, 3)]
+    unseen = [seen[-1] * factor for factor in (0.98, 0.98**2, 0.98**2 * 0.9, 0.98**2 * 0.81)]
+    np.testing.assert_allclose(values, [*seen, *unseen, 0.9 * (1 - 0.5**4)], rtol=1e-6)
+
+
+def test_frames_must_come_in_order():
+    tracker = Tracker()
+    tracker.update(frame(3), [])
+    with pytest.raises(SequenceError, match="frame 3 came after frame 3"):
+        tracker.update(frame(3), [])
+
+
+def test_two_trackers_are_independent():
+    first, second = Tracker(), Tracker()
+    assert ids_seen(first.update(frame(0), [thing(3, 0)])) == [1]
+    assert ids_seen(second.update(frame(0), [thing(3, 0), thing(3, 1.5)])) == [1, 2]
+    assert len(first.tracks()) == 1
+
+
+def test_outputs_never_change_with_later_frames():
+    stream = [SEEN, (HIDE, []), (None, [thing(3, 0.2), thing(2, 1.0)]), (frame(0), []), SEEN]
+    tracker, whole = run(stream)
+    for length in range(1, len(stream)):
+        _, part = run(stream[:length])
+        assert [[(e.track_id, e.state, e.confidence) for e in out] for out in part] == [
+            [(e.track_id, e.state, e.confidence) for e in out] for out in whole[:length]
+        ]
+    by_frame = {(e.frame_index, e.track_id): e for t in tracker.tracks() for e in t.history}
+    assert all(by_frame[e.frame_index, e.track_id] is e for out in whole for e in out)
+
+
+def moved(estimate, R, t):
+    """The estimate in another world frame; R turns by a multiple of 90 degrees about z."""
+    S = estimate.S_world_canonical
+    box = Box(R @ estimate.box.center + t, np.abs(R) @ estimate.box.extents)
+    return replace(estimate, box=box, S_world_canonical=Similarity(S.scale_m, R @ S.R, R @ S.t + t))
+
+
+steps = st.integers(-60, 60).map(lambda step: 0.0371 * step)  # no overlap exactly at a gate
+objects = st.builds(
+    thing,
+    steps.map(lambda step: 3.2 + 0.7 * step),
+    steps,
+    class_id=st.sampled_from([CHAIR, TABLE]),
+    score=st.floats(0, 1),
+    size=st.sampled_from([(0.6, 0.6, 0.9), (1.4, 0.8, 0.7)]),
+    yaw=st.floats(0, 3),
+    observable=st.booleans(),
+)
+streams = st.lists(
+    st.tuples(
+        st.sampled_from([frame(0), AWAY, HIDE]),
+        st.lists(objects, max_size=4, unique_by=lambda e: e.score),
+    ),
+    max_size=8,
+)
+
+
+def summary(outputs):
+    return [[(e.track_id, e.class_id, e.state) for e in out] for out in outputs]
+
+
+@settings(max_examples=40, deadline=None)
+@given(streams, st.randoms(use_true_random=False))
+def test_the_order_of_estimates_does_not_matter(stream, random):
+    shuffled = [(view, random.sample(found, len(found))) for view, found in stream]
+    assert summary(run(stream)[1]) == summary(run(shuffled)[1])
+
+
+@settings(max_examples=40, deadline=None)
+@given(streams, st.integers(0, 3), st.floats(-5, 5))
+def test_the_choice_of_world_frame_does_not_matter(stream, turns, shift):
+    R, t = np.round(rotation_z(turns * np.pi / 2)), np.array([shift, -2 * shift, 0.5 * shift])
+    other = [
+        (
+            replace(view, T_world_camera=make_T(R, t) @ view.T_world_camera),
+            [moved(estimate, R, t) for estimate in found],
+        )
+        for view, found in stream
+    ]
+    assert summary(run(stream)[1]) == summary(run(other)[1])
+
+
+@settings(max_examples=60, deadline=None)
+@given(streams)
+def test_any_stream_keeps_the_laws(stream):
+    tracker, outputs = run(stream, SHORT)
+    ended: set[int] = set()
+    for (_, found), output in zip(stream, outputs, strict=True):
+        ids = [entry.track_id for entry in output]
+        assert ids == sorted(set(ids))
+        assert not ended & set(ids)
+        assert sum(entry.observed for entry in output) <= len(found)
+        ended |= {entry.track_id for entry in output if entry.state is E}
+        for entry in output:
+            assert 0 <= entry.confidence <= 1
+            assert entry.observed == (entry.state in (T, R))
+    for track in tracker.tracks():
+        indices = [entry.frame_index for entry in track.history]
+        assert indices == list(range(indices[0], indices[0] + len(indices)))
+        assert [e.state for e in track.history[:-1]].count(E) == 0
