@@ -173,7 +173,7 @@ def test_no_observation_is_lost_or_made_and_none_are_simultaneous(births):
         if entry.observed
     )
     kept = [[(e.frame_index, e.box.center[1]) for e in one.history if e.observed] for one in linked]
-    assert sorted(sum(kept, [])) == seen
+    assert sorted(pair for part in kept for pair in part) == seen
     assert all(len({frame for frame, _ in part}) == len(part) for part in kept)
     assert {one.track_id for one in linked} <= {one.track_id for one in tracks}
     assert [one.history for one in link_offline(linked, CONFIG)] == [one.history for one in linked]

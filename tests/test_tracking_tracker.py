@@ -62,7 +62,7 @@ def test_two_crossing_objects_keep_their_ids():
 
 
 SEEN = (None, [thing(3, 0)])
-T, O, L, R, E = (
+T, H, L, R, E = (
     TrackState.TRACKED,
     TrackState.OCCLUDED,
     TrackState.LOST,
@@ -76,15 +76,15 @@ SHORT = replace(CONFIG, end_after_frames=4, end_after_visible_misses=2)
     ("stream", "states"),
     [
         pytest.param([SEEN, SEEN], [T, T], id="tracked"),
-        pytest.param([SEEN, (HIDE, [])], [T, O], id="hidden: occluded"),
-        pytest.param([SEEN, (AWAY, [])], [T, O], id="out of view: occluded"),
+        pytest.param([SEEN, (HIDE, [])], [T, H], id="hidden: occluded"),
+        pytest.param([SEEN, (AWAY, [])], [T, H], id="out of view: occluded"),
         pytest.param([SEEN, (frame(0), [])], [T, L], id="place in view: lost"),
-        pytest.param([SEEN, (HIDE, []), SEEN, SEEN], [T, O, R, T], id="occluded: re-found"),
+        pytest.param([SEEN, (HIDE, []), SEEN, SEEN], [T, H, R, T], id="occluded: re-found"),
         pytest.param([SEEN, (frame(0), []), SEEN, SEEN], [T, L, R, T], id="lost: re-found"),
-        pytest.param([SEEN, (HIDE, []), (frame(0), [])], [T, O, L], id="occluded: lost"),
-        pytest.param([SEEN, (frame(0), []), (HIDE, [])], [T, L, O], id="lost: occluded"),
+        pytest.param([SEEN, (HIDE, []), (frame(0), [])], [T, H, L], id="occluded: lost"),
+        pytest.param([SEEN, (frame(0), []), (HIDE, [])], [T, L, H], id="lost: occluded"),
         pytest.param([SEEN, (frame(0), []), (frame(0), [])], [T, L, E], id="lost: ended"),
-        pytest.param([SEEN] + [(HIDE, [])] * 4, [T, O, O, O, E], id="occluded: ended"),
+        pytest.param([SEEN] + [(HIDE, [])] * 4, [T, H, H, H, E], id="occluded: ended"),
         pytest.param(
             [SEEN, (frame(0), []), SEEN, (frame(0), []), SEEN],
             [T, L, R, L, R],
