@@ -1,3 +1,33 @@
-"""ComPoseNet: completed, posed and tracked objects from RGB-D video."""
+"""ComPoseNet: completed, posed and tracked objects from RGB-D video.
+
+>>> import composenet
+>>> tracker = composenet.load_tracker()
+>>> for frame in composenet.open_sequence("recording"):
+...     for thing in tracker(frame).objects:
+...         print(thing.track_id, thing.state, thing.box.center)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from composenet.pipeline import ObjectTracker, load_tracker
+    from composenet.sequences import open_sequence
+
+__all__ = ["ObjectTracker", "load_tracker", "open_sequence"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use, so that `import composenet` and `--help` stay instant."""
+    if name == "open_sequence":
+        from composenet.sequences import open_sequence
+
+        return open_sequence
+    if name in ("ObjectTracker", "load_tracker"):
+        from composenet import pipeline
+
+        return getattr(pipeline, name)
+    raise AttributeError(f"module 'composenet' has no attribute {name!r}")

@@ -45,6 +45,8 @@ class NetworkConfig:
     """cells a side of the fixed grid each box is sampled on"""
     crop_margin: Annotated[float, Field(ge=1)] = 1.25
     """the crop is the proposal grown by this factor"""
+    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
+    """a cell counts as filled from this probability on"""
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -6,7 +6,7 @@ Frames, axes and units are those of CONVENTIONS.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ CLASS_NAMES: tuple[str, ...] = (
 )
 
 
-class Symmetry(str, Enum):
+class Symmetry(StrEnum):
     """Rotational symmetry of an object about its up axis (Scan2CAD's four kinds)."""
 
     NONE = "none"
@@ -36,7 +36,7 @@ class Symmetry(str, Enum):
     INF = "inf"
 
 
-class TrackState(str, Enum):
+class TrackState(StrEnum):
     """What a user may act on.
 
     TRACKED: seen in this frame. RE_FOUND: seen in this frame after an absence.

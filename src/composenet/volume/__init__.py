@@ -1,0 +1,1 @@
+"""Frame -> Volume: the sparse surface grid and the signed distance field."""

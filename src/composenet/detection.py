@@ -1,0 +1,118 @@
+"""Voxel fields -> proposals, by mean shift on the voted centres (paper section 4.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from composenet.config import DetectionConfig
+from composenet.network.batch import VolumeBatch
+from composenet.network.detection_head import VoxelFields
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Boxes found in one frame, grid frame, strongest first.
+
+    center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) mean
+    objectness of the cluster. voxels: (M,) how many voxels voted.
+    """
+
+    center: Tensor
+    extents: Tensor
+    class_probabilities: Tensor
+    score: Tensor
+    voxels: Tensor
+
+
+def mean_shift(
+    points: Tensor, radius: float, steps: int, bin_size: float = 1.0
+) -> tuple[Tensor, Tensor]:
+    """Flat-kernel mean shift: modes (K, 3), strongest first, and each point's mode (P,).
+
+    Points are summed in bins of bin_size, which act as weighted points and as seeds. Modes
+    closer than the radius to a stronger one are merged into it; a point belongs to the mode
+    nearest to where its bin ended.
+    """
+    bins, member = torch.unique(
+        torch.div(points, bin_size, rounding_mode="floor"), dim=0, return_inverse=True
+    )
+    weight = points.new_zeros(len(bins)).index_add_(0, member, torch.ones_like(points[:, 0]))
+    mean = torch.zeros_like(bins).index_add_(0, member, points) / weight[:, None]
+    seeds = mean.clone()
+    near = torch.cdist(seeds, mean) <= radius
+    for _ in range(steps):
+        mass = near * weight
+        moved = (mass @ mean) / mass.sum(dim=1, keepdim=True)
+        shift = (moved - seeds).abs().amax()
+        seeds = moved
+        near = torch.cdist(seeds, mean) <= radius
+        if shift < 1e-3 * radius:
+            break
+    density = (near * weight).sum(dim=1)
+    modes = _merge(seeds, density, radius)
+    return modes, torch.cdist(seeds, modes).argmin(dim=1)[member]
+
+
+def _merge(seeds: Tensor, density: Tensor, radius: float) -> Tensor:
+    """Seeds in order of density, each at least a radius from all stronger ones."""
+    order = torch.argsort(density, descending=True, stable=True)
+    ordered = seeds[order]
+    close = (torch.cdist(ordered, ordered) <= radius).cpu()
+    alive = torch.ones(len(ordered), dtype=torch.bool)
+    for i in range(len(ordered)):
+        if alive[i]:
+            alive[i + 1 :] &= ~close[i, i + 1 :]
+    return ordered[alive.to(ordered.device)]
+
+
+@torch.no_grad()
+def propose(
+    fields: VoxelFields, batch: VolumeBatch, config: DetectionConfig
+) -> tuple[Proposals, ...]:
+    """Proposals of every frame of the batch."""
+    votes = batch.coords[:, 1:].to(fields.center_offset.dtype) + fields.center_offset
+    objectness = torch.sigmoid(fields.objectness)
+    out = []
+    for frame in range(batch.size):
+        rows = (batch.coords[:, 0] == frame) & (objectness > config.objectness_threshold)
+        out.append(_propose_frame(rows, votes, objectness, fields, batch.voxel_size_m, config))
+    return tuple(out)
+
+
+def _propose_frame(
+    rows: Tensor,
+    votes: Tensor,
+    objectness: Tensor,
+    fields: VoxelFields,
+    voxel_size_m: float,
+    config: DetectionConfig,
+) -> Proposals:
+    n_classes = fields.class_logits.shape[1]
+    votes, weight = votes[rows], objectness[rows]
+    if len(votes) < config.min_cluster_voxels:
+        empty = votes.new_zeros
+        return Proposals(empty(0, 3), empty(0, 3), empty(0, n_classes), empty(0), empty(0))
+    modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
+    probabilities = fields.class_logits[rows].softmax(dim=1)
+    values = torch.cat(
+        [votes.new_ones(len(votes), 1), weight[:, None], votes, fields.extents[rows], probabilities],
+        dim=1,
+    )
+    sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
+    count = sums[:, 0]
+    mean = sums / count.clamp_min(1)[:, None]
+    keep = torch.nonzero(
+        (count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score)
+    )[:, 0]
+    order = keep[torch.argsort(mean[keep, 1], descending=True, stable=True)]
+    order = order[: config.max_proposals]
+    return Proposals(
+        center=mean[order, 2:5] * voxel_size_m,
+        extents=mean[order, 5:8] * voxel_size_m,
+        class_probabilities=mean[order, 8:],
+        score=mean[order, 1],
+        voxels=count[order],
+    )

@@ -1,0 +1,177 @@
+"""Submanifold 3x3x3 convolution on sparse voxels, in plain torch, CPU and CUDA.
+
+A voxel list keeps its sites (submanifold convolution, Graham et al. 2018). One neighbour table
+serves all layers of a level. On the CPU each of the 27 offsets is gathered, multiplied and
+added in place; on CUDA one gather feeds one matrix product, and the backward pass gathers
+through the mirrored table, so it needs no atomics and is deterministic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+OFFSETS = torch.stack(
+    torch.meshgrid(*[torch.arange(-1, 2)] * 3, indexing="ij"), dim=-1
+).reshape(27, 3)
+"""(27, 3) neighbour offsets in the order of the weights; 13 is the centre; k mirrors 26 - k."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """Sites of one resolution.
+
+    coords: (N, 4) int64 rows of (batch, x, y, z). table: (N, 27) int64, row of the neighbour at
+    OFFSETS[k], or N where there is none. pairs: for each offset (rows out, rows in) that exist
+    (CPU only, else empty). parent, octant: (N,) int64 into the next coarser level (empty on the
+    coarsest).
+    """
+
+    coords: Tensor
+    table: Tensor
+    pairs: tuple[tuple[Tensor, Tensor], ...]
+    parent: Tensor
+    octant: Tensor
+
+
+def neighbor_table(coords: Tensor, batch_size: int) -> Tensor:
+    """(N, 27) rows of the neighbours, N where absent. coords: (N, 4) int64, unique, >= 0.
+
+    One dense look-up table; the grid is padded by a voxel so that offsets cannot wrap.
+    """
+    n = len(coords)
+    shape = (coords[:, 1:].amax(dim=0) + 3).tolist() if n else [3, 3, 3]
+    stride = torch.tensor([shape[1] * shape[2], shape[2], 1], device=coords.device)
+    volume = shape[0] * shape[1] * shape[2]
+    keys = coords[:, 0] * volume + ((coords[:, 1:] + 1) * stride).sum(dim=1)
+    lookup = torch.full((batch_size * volume,), n, dtype=torch.int32, device=coords.device)
+    lookup[keys] = torch.arange(n, dtype=torch.int32, device=coords.device)
+    steps = (OFFSETS.to(coords.device) * stride).sum(dim=1)
+    return lookup[keys[:, None] + steps].long()
+
+
+def build_pyramid(coords: Tensor, batch_size: int, n_levels: int) -> tuple[Level, ...]:
+    """Levels at strides 1, 2, 4, ..., finest first. coords: (N, 4) int64, on the device wanted."""
+    levels = []
+    for index in range(n_levels):
+        table = neighbor_table(coords, batch_size)
+        pairs = _pairs(table) if coords.device.type == "cpu" else ()
+        parent = octant = coords.new_empty(0)
+        coarse = coords
+        if index + 1 < n_levels:
+            halved = torch.cat([coords[:, :1], coords[:, 1:] // 2], dim=1)
+            coarse, parent = torch.unique(halved, dim=0, return_inverse=True)
+            odd = coords[:, 1:] % 2
+            octant = odd[:, 0] * 4 + odd[:, 1] * 2 + odd[:, 2]
+        levels.append(Level(coords, table, pairs, parent, octant))
+        coords = coarse
+    return tuple(levels)
+
+
+def _pairs(table: Tensor) -> tuple[tuple[Tensor, Tensor], ...]:
+    n = len(table)
+    pairs = []
+    for k in range(27):
+        column = table[:, k]
+        rows = torch.nonzero(column < n)[:, 0]
+        pairs.append((rows, column[rows]))
+    return tuple(pairs)
+
+
+class _PairwiseConv(torch.autograd.Function):
+    """CPU: gather -> addmm -> copy back, one offset after the other."""
+
+    @staticmethod
+    def forward(ctx, features: Tensor, weight: Tensor, level: Level) -> Tensor:
+        ctx.save_for_backward(features, weight)
+        ctx.level = level
+        out = features @ weight[13]
+        for k, (rows_out, rows_in) in enumerate(level.pairs):
+            if k != 13 and len(rows_out):
+                part = torch.addmm(out[rows_out], features[rows_in], weight[k])
+                out.index_copy_(0, rows_out, part)
+        return out
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):  # type: ignore[override]
+        features, weight = ctx.saved_tensors
+        grad_features = grad @ weight[13].T
+        grad_weight = torch.empty_like(weight)
+        for k, (rows_out, rows_in) in enumerate(ctx.level.pairs):
+            if k == 13:
+                torch.mm(features.T, grad, out=grad_weight[13])
+                continue
+            grad_part = grad[rows_out]
+            torch.mm(features[rows_in].T, grad_part, out=grad_weight[k])
+            part = torch.addmm(grad_features[rows_in], grad_part, weight[k].T)
+            grad_features.index_copy_(0, rows_in, part)
+        return grad_features, grad_weight, None
+
+
+class _GatherConv(torch.autograd.Function):
+    """CUDA: one gather and one product; backward through the mirrored table."""
+
+    @staticmethod
+    def forward(ctx, features: Tensor, weight: Tensor, level: Level) -> Tensor:
+        ctx.save_for_backward(features, weight)
+        ctx.level = level
+        return _gather(features, level.table) @ weight.flatten(0, 1)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):  # type: ignore[override]
+        features, weight = ctx.saved_tensors
+        grad = grad.to(weight.dtype)
+        mirrored = weight.flip(0).transpose(1, 2).flatten(0, 1)
+        grad_features = _gather(grad, ctx.level.table) @ mirrored
+        grad_weight = _gather(features, ctx.level.table).T @ grad
+        return grad_features, grad_weight.view_as(weight), None
+
+
+def _gather(features: Tensor, table: Tensor) -> Tensor:
+    padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
+    return padded[table].flatten(1)
+
+
+def submanifold_conv(features: Tensor, weight: Tensor, level: Level) -> Tensor:
+    """(N, C_in) with weight (27, C_in, C_out) -> (N, C_out), zero where a neighbour is absent."""
+    function = _PairwiseConv if features.device.type == "cpu" else _GatherConv
+    return function.apply(features, weight, level)
+
+
+class SubmanifoldConv(nn.Module):
+    """3x3x3 submanifold convolution without bias (a normalisation follows)."""
+
+    def __init__(self, c_in: int, c_out: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.randn(27, c_in, c_out) * (2 / (9 * c_in)) ** 0.5)
+
+    def forward(self, features: Tensor, level: Level) -> Tensor:
+        return submanifold_conv(features, self.weight, level)
+
+
+class Down(nn.Module):
+    """2x2x2 convolution with stride 2: children are laid into the parent's eight slots."""
+
+    def __init__(self, c_in: int, c_out: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(8 * c_in, c_out, bias=False)
+
+    def forward(self, features: Tensor, fine: Level, n_coarse: int) -> Tensor:
+        slots = features.new_zeros(n_coarse * 8, features.shape[1])
+        slots = slots.index_copy(0, fine.parent * 8 + fine.octant, features)
+        return self.linear(slots.view(n_coarse, -1))
+
+
+class Up(nn.Module):
+    """Transposed counterpart of Down: each child reads its slot of the parent."""
+
+    def __init__(self, c_in: int, c_out: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(c_in, 8 * c_out, bias=False)
+        self.c_out = c_out
+
+    def forward(self, features: Tensor, fine: Level) -> Tensor:
+        slots = self.linear(features).view(-1, self.c_out)
+        return slots.index_select(0, fine.parent * 8 + fine.octant)

@@ -1,0 +1,126 @@
+"""The algorithm on one page: frame -> volume -> proposals -> objects -> tracks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from composenet.config import Config
+from composenet.detection import propose
+from composenet.errors import ConfigError
+from composenet.network.batch import collate
+from composenet.network.model import ComposeNet
+from composenet.network.weights import default_weights, load_weights
+from composenet.objects import estimate_objects
+from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
+from composenet.tracking.offline import link_offline
+from composenet.tracking.tracker import Tracker
+from composenet.volume.voxels import voxelize
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What one frame gave. objects: every living track; estimates: the posed detections behind
+    them; timings_ms: by stage."""
+
+    objects: tuple[TrackedObject, ...]
+    estimates: tuple[ObjectEstimate, ...]
+    timings_ms: dict[str, float]
+
+
+class ObjectTracker:
+    """Tracks the furniture of one recording, frame by frame, looking at nothing to come."""
+
+    def __init__(self, network: ComposeNet, config: Config, device: torch.device) -> None:
+        self.network, self.config, self.device = network, config, device
+        self._tracker = Tracker(config.tracking)
+
+    def __call__(self, frame: Frame) -> FrameResult:
+        """Detect, complete, pose and associate the objects of the next frame."""
+        clock = _Clock(self.device)
+        with clock("volume"):
+            volume = voxelize(frame, self.config.volume)
+        estimates: tuple[ObjectEstimate, ...] = ()
+        if volume is not None:
+            with torch.inference_mode():
+                batch = collate([volume]).to(self.device)
+                with clock("backbone"):
+                    fields = self.network.voxel_fields(batch)
+                with clock("proposals"):
+                    (proposals,) = propose(fields, batch, self.config.detection)
+                with clock("objects"):
+                    estimates = estimate_objects(
+                        self.network, fields, batch, volume, proposals, self.config
+                    )
+        with clock("association"):
+            objects = self._tracker.update(frame, estimates)
+        return FrameResult(objects, estimates, clock.milliseconds)
+
+    def tracks(self) -> tuple[Track, ...]:
+        """All identities so far. With tracking.offline the paper's second pass links them, which
+        looks at the whole recording."""
+        tracks = self._tracker.tracks()
+        return link_offline(tracks, self.config.tracking) if self.config.tracking.offline else tracks
+
+    def restart(self) -> ObjectTracker:
+        """A tracker for another recording with the same network."""
+        return ObjectTracker(self.network, self.config, self.device)
+
+
+def load_tracker(
+    weights: Path | str | None = None,
+    *,
+    device: str = "auto",
+    config: Config | None = None,
+    **tracking: object,
+) -> ObjectTracker:
+    """Tracker with the shipped weights or those of a file.
+
+    device: "auto", "cpu", "cuda" or "cuda:N". config replaces the weights' own parameters
+    (sizes of the network must agree); further keywords replace fields of config.tracking, such
+    as use_completion=False. Raises WeightsError or ConfigError.
+    """
+    chosen = select_device(device)
+    network, own, _ = load_weights(Path(weights) if weights else default_weights(), chosen)
+    if config is not None and config.network.backbone_channels != own.network.backbone_channels:
+        raise ConfigError("config.network does not fit the weights; leave it as they have it")
+    config = config or own
+    try:
+        config = replace(config, tracking=replace(config.tracking, **tracking))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"tracking options: {error}") from None
+    return ObjectTracker(network, config, chosen)
+
+
+def select_device(name: str) -> torch.device:
+    """The torch device; "auto" takes CUDA where there is one. Raises ConfigError."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ConfigError(f"--device {name!r}: expected auto, cpu, cuda or cuda:N") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(f"--device {name}: this machine has no CUDA device; use --device cpu")
+    return device
+
+
+class _Clock:
+    """Milliseconds by stage."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.milliseconds: dict[str, float] = {}
+        self._cuda = device.type == "cuda"
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        if self._cuda:
+            torch.cuda.synchronize()
+        self.milliseconds[stage] = 1e3 * (time.perf_counter() - start)

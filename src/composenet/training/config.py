@@ -1,0 +1,58 @@
+"""Parameters of training."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from composenet.config import Config, Count, Positive, Share
+
+_STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class LossWeights:
+    """Weights of the losses [paper, where it gives one]."""
+
+    objectness: float = 1.0
+    center: float = 0.1
+    extent: float = 0.1
+    classes: float = 1.0
+    completion: float = 4.0
+    correspondence: float = 4.0
+    rotation: float = 0.2
+    translation: float = 0.1
+    scale: float = 0.1
+    quality: float = 1.0
+    box_class: float = 1.0
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TrainingConfig:
+    """One training run. The learning rate is constant after a warm-up and falls to zero over the
+    last decay_share of --max-minutes, so that every run ends with usable weights and can be
+    continued."""
+
+    model: Config = Config()
+    weights: LossWeights = LossWeights()
+    batch_frames: Count = 2
+    """[paper]"""
+    learning_rate: Positive = 1e-3
+    """[paper]"""
+    weight_decay: Annotated[float, Field(ge=0)] = 1e-5
+    """[paper]"""
+    rate_warmup_steps: Count = 200
+    decay_share: Share = 0.35
+    joint_from_step: Annotated[int, Field(ge=0)] = 3000
+    """until then the object network learns on jittered true boxes with the features held fixed,
+    afterwards end to end and on the detector's own proposals too (the paper's two stages)"""
+    max_boxes: Count = 8
+    """crops a frame (paper: up to 10 proposals)"""
+    gradient_clip: Positive = 5.0
+    ema_decay: Share = 0.999
+    frames_per_scene: Count = 5
+    min_visible_pixels: Count = 50
+    """objects with fewer are no target"""
+    seed: int = 0

@@ -1,0 +1,111 @@
+"""Training samples: streamed from the generator in worker processes, or read from disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from torch.utils.data import IterableDataset, get_worker_info
+
+from composenet.records import Camera, Frame
+from composenet.synth.scene import Scene, SceneOptions, generate_scene
+from composenet.training.config import TrainingConfig
+from composenet.training.targets import Sample, TrainingBatch, collate_samples, make_sample
+from composenet.volume.voxels import voxelize
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Which scenes: a split of the generator, optionally with CAD."""
+
+    split: str = "train"
+    cad_dir: Path | None = None
+    cad_share: float = 0.5
+    first: int = 0
+    """index of the first scene"""
+
+    def scene(self, index: int) -> Scene:
+        """Scene `first + index` of the split."""
+        options = SceneOptions(cad_dir=self.cad_dir, cad_share=self.cad_share)
+        return generate_scene(self.split, self.first + index, options)
+
+
+def samples_of_scene(
+    scene: Scene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
+) -> Iterator[Sample]:
+    """frames_per_scene samples at random times, each with a slightly wrong floor height."""
+    chosen = rng.choice(scene.n_frames, config.frames_per_scene, replace=False)
+    for i in map(int, chosen):
+        rendered = scene.render(i, color=False)
+        truth = scene.frame_truth(i, rendered.ids)
+        frame = rendered.frame
+        if augment and rng.random() < 0.3:
+            frame, ids = crop_view(frame, rendered.ids, rng)
+        else:
+            ids = rendered.ids
+        volume = voxelize(frame, config.model.volume, ids)
+        if volume is None:
+            continue
+        if augment:
+            volume.features[:, 6] += rng.normal(0, 0.03)
+        seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
+        yield make_sample(volume, [scene.object_truth(t.gt_id) for t in seen], seen)
+
+
+def crop_view(
+    frame: Frame, ids: np.ndarray, rng: np.random.Generator
+) -> tuple[Frame, np.ndarray]:
+    """Blank everything outside a random window: narrower views and objects cut by the border."""
+    height, width = frame.depth_m.shape
+    w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))
+    u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
+    depth = np.zeros_like(frame.depth_m)
+    depth[v : v + h, u : u + w] = frame.depth_m[v : v + h, u : u + w]
+    camera = Camera(frame.camera.K, width, height)
+    return replace(frame, depth_m=depth, camera=camera), ids
+
+
+class SceneStream(IterableDataset):
+    """Endless batches. Each worker draws its own scenes: worker w of n in process r of R takes
+    scenes start + k * n * R + r * n + w, so no two ever share one."""
+
+    def __init__(
+        self,
+        source: SceneSource,
+        config: TrainingConfig,
+        start: int,
+        rank: int = 0,
+        world_size: int = 1,
+    ) -> None:
+        self.source, self.config, self.start = source, config, start
+        self.rank, self.world_size = rank, world_size
+
+    def __iter__(self) -> Iterator[TrainingBatch]:
+        info = get_worker_info()
+        worker, n_workers = (info.id, info.num_workers) if info else (0, 1)
+        step = n_workers * self.world_size
+        index = self.start + self.rank * n_workers + worker
+        pool: list[Sample] = []
+        rng = np.random.default_rng((self.config.seed, index))
+        while True:
+            pool.extend(samples_of_scene(self.source.scene(index), self.config, rng))
+            index += step
+            while len(pool) >= 6 * self.config.batch_frames:
+                picked = [
+                    pool.pop(int(rng.integers(len(pool)))) for _ in range(self.config.batch_frames)
+                ]
+                yield collate_samples(picked)
+
+
+def fixed_batches(
+    source: SceneSource, config: TrainingConfig, n_scenes: int
+) -> list[TrainingBatch]:
+    """The same validation batches every time: frames_per_scene frames of n_scenes scenes."""
+    rng = np.random.default_rng(1)
+    samples = []
+    for index in range(n_scenes):
+        samples.extend(samples_of_scene(source.scene(index), config, rng, augment=False))
+    size = config.batch_frames
+    return [collate_samples(samples[i : i + size]) for i in range(0, len(samples), size)]

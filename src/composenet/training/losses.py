@@ -1,0 +1,147 @@
+"""The paper's losses (sections 4.1 to 4.3), with the symmetry minimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from composenet.geometry.procrustes import SimilarityFit, fit_similarity
+from composenet.network.detection_head import VoxelFields
+from composenet.network.object_net import ObjectFields
+from composenet.training.proposals import TrainingCrops
+from composenet.training.targets import TrainingBatch, occupancy_in_crops
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Of the positive crops, M' of them. rotation_deg, translation_m, completion_iou: (M',)."""
+
+    rotation_deg: Tensor
+    translation_m: Tensor
+    completion_iou: Tensor
+
+
+def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Tensor]:
+    """Objectness, centre, extent (both in voxels) and class. Every object weighs by the root of
+    its voxel count, so that large ones do not drown small ones."""
+    on_object = batch.voxel_object >= 0
+    losses = {
+        "objectness": F.binary_cross_entropy_with_logits(
+            fields.objectness, on_object.to(fields.objectness.dtype)
+        )
+    }
+    zero = fields.objectness.sum() * 0
+    if not on_object.any():
+        touched = fields.center_offset.sum() + fields.extents.sum() + fields.class_logits.sum()
+        return losses | {"center": zero + 0 * touched, "extent": zero, "class": zero}
+    rows = batch.voxel_object[on_object]
+    weight = torch.bincount(rows, minlength=len(batch.frame)).to(zero.dtype).rsqrt()[rows]
+    weight = weight / weight.sum()
+    size = batch.volume.voxel_size_m
+    coords = batch.volume.coords[on_object, 1:].to(zero.dtype)
+    offset = batch.center[rows] / size - coords
+    center = F.smooth_l1_loss(fields.center_offset[on_object], offset, reduction="none")
+    extent = F.smooth_l1_loss(
+        fields.extents[on_object], batch.extents[rows] / size, reduction="none"
+    )
+    classes = F.cross_entropy(
+        fields.class_logits[on_object], batch.class_id[rows], reduction="none"
+    )
+    return losses | {
+        "center": (weight * center.sum(dim=1)).sum(),
+        "extent": (weight * extent.sum(dim=1)).sum(),
+        "class": (weight * classes).sum(),
+    }
+
+
+def object_losses(
+    fields: ObjectFields, batch: TrainingBatch, boxes: TrainingCrops
+) -> tuple[dict[str, Tensor], PoseErrors]:
+    """Completion, correspondence, rotation, scale, translation, quality and class."""
+    cells = fields.occupancy.shape[-1]
+    quality = ((boxes.iou - 0.1) / 0.5).clamp(0, 1)
+    losses = {"quality": F.binary_cross_entropy_with_logits(fields.quality, quality)}
+    keep = boxes.positive
+    if not keep.any():
+        touched = fields.occupancy.sum() + fields.nocs.sum() + fields.class_logits.sum()
+        none = touched.new_zeros(0)
+        names = ("completion", "correspondence", "rotation", "scale", "translation", "box_class")
+        return losses | dict.fromkeys(names, 0 * touched), PoseErrors(none, none, none)
+    crops, rows = _select(boxes, keep)
+    losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
+    target = occupancy_in_crops(batch, crops, rows, cells)
+    logits = fields.occupancy[keep]
+    losses["completion"] = F.binary_cross_entropy_with_logits(logits, target)
+    solid = F.avg_pool3d(target[:, None], 2)[:, 0].flatten(1) > 0.1
+    solid[:, 0] |= ~solid.any(dim=1)
+    points = crops.points(cells // 2)
+    predicted = fields.nocs[keep].flatten(2).transpose(1, 2)
+    losses["correspondence"] = _correspondence_loss(predicted, points, solid, batch, rows)
+    fit = fit_similarity(predicted, points, solid.to(predicted.dtype))
+    squared = rotation_square_error(fit.R, batch, rows)
+    seen = fit.observable.to(squared.dtype)
+    losses["rotation"] = (seen * squared).mean()
+    losses["scale"] = (seen * (fit.scale - batch.scale_m[rows]).abs()).mean()
+    gap = fit.t - batch.t[rows]
+    losses["translation"] = (seen * gap.square().sum(dim=1)).mean()
+    return losses, _errors(fit, squared, gap, logits, target)
+
+
+def _select(boxes: TrainingCrops, keep: Tensor):
+    crops = type(boxes.crops)(
+        boxes.crops.frame[keep], boxes.crops.center[keep], boxes.crops.size[keep]
+    )
+    return crops, boxes.rows[keep]
+
+
+def _errors(
+    fit: SimilarityFit, squared: Tensor, gap: Tensor, logits: Tensor, target: Tensor
+) -> PoseErrors:
+    # |R - R'|_F^2 = 6 - 2 tr(R^T R') = 8 sin^2(angle / 2)
+    sine = (squared.detach() / 8).clamp(0, 1).sqrt()
+    full, true = logits.detach() > 0, target > 0.5
+    overlap = (full & true).flatten(1).sum(dim=1) / (full | true).flatten(1).sum(dim=1).clamp_min(1)
+    return PoseErrors(
+        torch.rad2deg(2 * torch.asin(sine)), gap.detach().norm(dim=1), overlap.to(squared.dtype)
+    )
+
+
+def _turns(order: int, like: Tensor) -> Tensor:
+    """(order, 3, 3) turns about z."""
+    angle = torch.arange(order, device=like.device, dtype=like.dtype) * (2 * np.pi / order)
+    c, s, o, i = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    return torch.stack([c, -s, o, s, c, o, o, o, i], dim=1).view(-1, 3, 3)
+
+
+def _correspondence_loss(
+    predicted: Tensor, points: Tensor, solid: Tensor, batch: TrainingBatch, rows: Tensor
+) -> Tensor:
+    """l1 where target geometry is, for the turn of the object that fits best."""
+    local = (points - batch.t[rows][:, None]) @ batch.R_grid_object[rows]
+    true = local / batch.scale_m[rows][:, None, None]
+    weight = solid.to(predicted.dtype)
+    weight = weight / weight.sum(dim=1, keepdim=True)
+    per_object = []
+    for m in range(len(rows)):
+        order = int(batch.symmetry_order[rows[m]])
+        cells = torch.nonzero(solid[m])[:, 0]
+        turned = true[m, cells] @ _turns(order, true)  # (order, cells, 3)
+        gaps = (turned - predicted[m, cells]).abs().sum(dim=-1).mean(dim=-1)
+        per_object.append(gaps.min())
+    return torch.stack(per_object).mean()
+
+
+def rotation_square_error(R: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
+    """(M,) squared Frobenius distance to the nearest valid rotation."""
+    errors = []
+    for m in range(len(rows)):
+        order = int(batch.symmetry_order[rows[m]])
+        valid = batch.R_grid_object[rows[m]] @ _turns(order, R)
+        errors.append((valid - R[m]).square().sum(dim=(1, 2)).min())
+    return torch.stack(errors)
+
+

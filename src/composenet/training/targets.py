@@ -1,0 +1,153 @@
+"""Ground truth of a frame as training targets, in the frame's grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F
+
+from composenet.geometry.symmetry import ORDER
+from composenet.network.batch import CropBatch, VolumeBatch, collate
+from composenet.records import ObjectFrameTruth, ObjectTruth
+from composenet.volume.voxels import Volume
+
+SOFT_CELLS = 32
+"""Occupancy travels as the filled share of 32^3 cells over the object's own box."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame for training: its volume and its K visible objects.
+
+    gt_id, class_id, symmetry_order: (K,) int64. center, extents: (K, 3) axis-aligned box, grid
+    frame, metres. R_grid_object: (K, 3, 3). t: (K, 3) centre of the object's own box, grid frame.
+    object_extents: (K, 3). occupancy: (K, 32, 32, 32) uint8, 0..8 filled subcells.
+    visible_pixels: (K,) int64.
+    """
+
+    volume: Volume
+    gt_id: NDArray[np.int64]
+    class_id: NDArray[np.int64]
+    symmetry_order: NDArray[np.int64]
+    center: NDArray[np.float32]
+    extents: NDArray[np.float32]
+    R_grid_object: NDArray[np.float32]
+    t: NDArray[np.float32]
+    object_extents: NDArray[np.float32]
+    occupancy: NDArray[np.uint8]
+    visible_pixels: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TrainingBatch:
+    """B frames with K objects in all.
+
+    frame: (K,) frame of each object. voxel_object: (N,) row of the voxel's object, -1 for none.
+    The rest as in Sample, as tensors; occupancy: (K, 32, 32, 32) float in 0..1.
+    """
+
+    volume: VolumeBatch
+    frame: Tensor
+    voxel_object: Tensor
+    class_id: Tensor
+    symmetry_order: Tensor
+    center: Tensor
+    extents: Tensor
+    R_grid_object: Tensor
+    t: Tensor
+    object_extents: Tensor
+    occupancy: Tensor
+    visible_pixels: Tensor
+
+    @property
+    def scale_m(self) -> Tensor:
+        """(K,) diagonal of the object's box, metres."""
+        return self.object_extents.norm(dim=1)
+
+    def to(self, device: torch.device) -> TrainingBatch:
+        """The same batch on another device."""
+        moved = {name: value.to(device) for name, value in vars(self).items()}
+        return TrainingBatch(**moved)
+
+
+def make_sample(
+    volume: Volume, truths: Sequence[ObjectTruth], seen: Sequence[ObjectFrameTruth]
+) -> Sample:
+    """Targets of the objects seen in a frame. truths, seen: one entry an object, same order."""
+    R_grid_world = volume.T_world_grid[:3, :3].T
+    low = volume.T_world_grid[:3, 3]
+
+    def rows(values: list, shape: tuple[int, ...], kind: type) -> NDArray:
+        return np.array(values, dtype=kind).reshape(len(seen), *shape)
+
+    return Sample(
+        volume=volume,
+        gt_id=rows([f.gt_id for f in seen], (), np.int64),
+        class_id=rows([o.class_id for o in truths], (), np.int64),
+        symmetry_order=rows([ORDER[o.symmetry] for o in truths], (), np.int64),
+        center=rows([R_grid_world @ (f.box.center - low) for f in seen], (3,), np.float32),
+        extents=rows([np.abs(R_grid_world) @ f.box.extents for f in seen], (3,), np.float32),
+        R_grid_object=rows(
+            [R_grid_world @ f.T_world_object[:3, :3] for f in seen], (3, 3), np.float32
+        ),
+        t=rows([R_grid_world @ (f.T_world_object[:3, 3] - low) for f in seen], (3,), np.float32),
+        object_extents=rows([o.extents_m for o in truths], (3,), np.float32),
+        occupancy=rows([soften(o.occupancy) for o in truths], (SOFT_CELLS,) * 3, np.uint8),
+        visible_pixels=rows([f.visible_pixels for f in seen], (), np.int64),
+    )
+
+
+def soften(occupancy: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """(64,)*3 bool -> (32,)*3 count of filled subcells, 0..8."""
+    n = occupancy.shape[0] // 2
+    return occupancy.reshape(n, 2, n, 2, n, 2).sum(axis=(1, 3, 5), dtype=np.uint8)
+
+
+def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
+    """Stack samples into one batch."""
+
+    def join(name: str) -> Tensor:
+        return torch.from_numpy(np.concatenate([getattr(s, name) for s in samples]))
+
+    offsets = np.cumsum([0, *[len(s.gt_id) for s in samples]])
+    frame = np.concatenate([np.full(len(s.gt_id), i, np.int64) for i, s in enumerate(samples)])
+    voxel_object = []
+    for sample, offset in zip(samples, offsets, strict=False):
+        row = np.full(max(int(sample.volume.labels.max(initial=0)), *sample.gt_id, 0) + 1, -1)
+        row[sample.gt_id] = np.arange(len(sample.gt_id)) + offset
+        voxel_object.append(row[sample.volume.labels])
+    return TrainingBatch(
+        volume=collate([s.volume for s in samples]),
+        frame=torch.from_numpy(frame),
+        voxel_object=torch.from_numpy(np.concatenate(voxel_object)),
+        occupancy=join("occupancy").float() / 8,
+        **{
+            name: join(name)
+            for name in (
+                "class_id",
+                "symmetry_order",
+                "center",
+                "extents",
+                "R_grid_object",
+                "t",
+                "object_extents",
+                "visible_pixels",
+            )
+        },
+    )
+
+
+def occupancy_in_crops(batch: TrainingBatch, crops: CropBatch, rows: Tensor, cells: int) -> Tensor:
+    """(M, cells^3 as a cube) filled share 0..1 of crop cells by object rows[m] of the batch."""
+    points = crops.points(cells) - batch.t[rows][:, None]
+    local = points @ batch.R_grid_object[rows]
+    unit = 2 * local / batch.object_extents[rows][:, None]  # -1..1 over the object's box
+    grid = unit.flip(-1).view(-1, cells, cells, cells, 3)
+    return F.grid_sample(
+        batch.occupancy[rows][:, None], grid, padding_mode="zeros", align_corners=False
+    )[:, 0]

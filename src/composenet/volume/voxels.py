@@ -1,0 +1,216 @@
+"""Frame -> sparse grid of surface voxels (paper section 4.1: the surface grid S)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.config import VolumeConfig
+from composenet.records import Frame
+
+FEATURE_NAMES = (
+    "offset_x",
+    "offset_y",
+    "offset_z",
+    "normal_x",
+    "normal_y",
+    "normal_z",
+    "height",
+    "distance",
+    "view_x",
+    "view_y",
+    "count",
+)
+"""Channels of a voxel: mean point within the voxel (voxels), mean normal (grid axes, towards
+the camera), height above the floor / 2 m, distance from the camera / 4 m, horizontal viewing
+direction, log of the pixel count / 4."""
+
+
+@dataclass(frozen=True)
+class Volume:
+    """One frame as a sparse surface grid, with what the signed distance field needs.
+
+    coords: (N, 3) int32 voxel indices, all >= 0. features: (N, len(FEATURE_NAMES)) float32.
+    labels: (N,) int32, majority instance id of the voxel's pixels (zeros without an id image).
+    shape: cells of the grid, multiples of 16. T_world_grid: (4, 4), grid metres to world; voxel
+    (i, j, k) is centred at voxel_size_m * (i, j, k). depth_m (H, W), K (3, 3) and T_camera_grid
+    (4, 4) are the frame's.
+    """
+
+    coords: NDArray[np.int32]
+    features: NDArray[np.float32]
+    labels: NDArray[np.int32]
+    shape: tuple[int, int, int]
+    voxel_size_m: float
+    T_world_grid: NDArray[np.float64]
+    depth_m: NDArray[np.float32]
+    K: NDArray[np.float64]
+    T_camera_grid: NDArray[np.float64]
+
+
+def quarter_turn(T_world_camera: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(3, 3) R_world_grid: the multiple of 90 degrees about z for which the camera looks along
+    the grid's +x within 45 degrees. Axis-aligned boxes stay axis-aligned."""
+    forward = T_world_camera[:3, 2]
+    if np.hypot(forward[0], forward[1]) < 1e-6:  # straight up or down: take the image's up
+        forward = -T_world_camera[:3, 1]
+    k = int(np.round(np.arctan2(forward[1], forward[0]) / (np.pi / 2))) % 4
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[k]
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=np.float64)
+
+
+@numba.njit(cache=True, nogil=True)
+def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
+    """Back-projected points (grid frame) and normals towards the camera; valid mask."""
+    height, width = depth.shape
+    local = np.zeros((height, width, 3), np.float32)
+    points = np.zeros((height, width, 3), np.float32)
+    valid = np.zeros((height, width), np.bool_)
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            if z > 0.1 and z <= max_depth:
+                x = (u - cx) / fx * z
+                y = (v - cy) / fy * z
+                local[v, u, 0], local[v, u, 1], local[v, u, 2] = x, y, z
+                for a in range(3):
+                    points[v, u, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z + t[a]
+                valid[v, u] = True
+    normals = np.zeros((height, width, 3), np.float32)
+    step = max(1, width // 160)
+    for v in range(step, height - step):
+        for u in range(step, width - step):
+            if not (
+                valid[v, u]
+                and valid[v, u - step]
+                and valid[v, u + step]
+                and valid[v - step, u]
+                and valid[v + step, u]
+            ):
+                continue
+            limit = 0.05 * step * depth[v, u]
+            if abs(depth[v, u + step] - depth[v, u - step]) > limit:
+                continue
+            if abs(depth[v + step, u] - depth[v - step, u]) > limit:
+                continue
+            a = points[v, u + step] - points[v, u - step]
+            b = points[v + step, u] - points[v - step, u]
+            n0 = b[1] * a[2] - b[2] * a[1]
+            n1 = b[2] * a[0] - b[0] * a[2]
+            n2 = b[0] * a[1] - b[1] * a[0]
+            norm = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            if norm > 1e-9:
+                normals[v, u, 0] = n0 / norm
+                normals[v, u, 1] = n1 / norm
+                normals[v, u, 2] = n2 / norm
+    return points, normals, valid
+
+
+@numba.njit(cache=True, nogil=True)
+def _accumulate(points, normals, valid, ids, low, size, shape):
+    """Sums per voxel: count, offset (3), normal (3); majority id (Boyer-Moore)."""
+    table = np.full(shape[0] * shape[1] * shape[2], -1, np.int32)
+    capacity = min(points.shape[0] * points.shape[1], table.shape[0])
+    coords = np.empty((capacity, 3), np.int32)
+    sums = np.zeros((capacity, 7), np.float32)
+    labels = np.zeros(capacity, np.int32)
+    votes = np.zeros(capacity, np.int32)
+    n = 0
+    for v in range(points.shape[0]):
+        for u in range(points.shape[1]):
+            if not valid[v, u]:
+                continue
+            f0 = (points[v, u, 0] - low[0]) / size
+            f1 = (points[v, u, 1] - low[1]) / size
+            f2 = (points[v, u, 2] - low[2]) / size
+            i, j, k = int(np.floor(f0 + 0.5)), int(np.floor(f1 + 0.5)), int(np.floor(f2 + 0.5))
+            if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
+                continue
+            key = (i * shape[1] + j) * shape[2] + k
+            row = table[key]
+            if row < 0:
+                row = n
+                table[key] = n
+                coords[n, 0], coords[n, 1], coords[n, 2] = i, j, k
+                n += 1
+            sums[row, 0] += 1
+            sums[row, 1] += f0 - i
+            sums[row, 2] += f1 - j
+            sums[row, 3] += f2 - k
+            sums[row, 4] += normals[v, u, 0]
+            sums[row, 5] += normals[v, u, 1]
+            sums[row, 6] += normals[v, u, 2]
+            if votes[row] == 0:
+                labels[row] = ids[v, u]
+                votes[row] = 1
+            elif labels[row] == ids[v, u]:
+                votes[row] += 1
+            else:
+                votes[row] -= 1
+    return coords[:n], sums[:n], labels[:n]
+
+
+def _bounds(points: NDArray[np.float32], size: float) -> tuple[NDArray, tuple[int, int, int]]:
+    """Lowest corner (a multiple of the voxel size) and shape (multiples of 16), two voxels of
+    margin; heights kept between 1 m under the floor and 3.2 m."""
+    low = points.min(axis=0) - 2 * size
+    high = points.max(axis=0) + 2 * size
+    low[2], high[2] = max(low[2], -1.0), min(max(high[2], 0.5), 3.2)
+    low = np.floor(low / size) * size
+    cells = np.ceil((high - low) / size).astype(int) + 1
+    nx, ny, nz = (int(max(16, -(-c // 16) * 16)) for c in cells)
+    return low.astype(np.float64), (nx, ny, nz)
+
+
+def voxelize(
+    frame: Frame, config: VolumeConfig, ids: NDArray[np.integer] | None = None
+) -> Volume | None:
+    """Surface voxels of one frame, or None where the frame has no usable depth.
+
+    frame: world levelled, z up. ids: (H, W) instance ids for training labels.
+    """
+    R_world_grid = quarter_turn(frame.T_world_camera)
+    T_turned_camera = np.array(frame.T_world_camera, dtype=np.float64)
+    T_turned_camera[:3] = R_world_grid.T @ T_turned_camera[:3]
+    K = frame.camera.K
+    points, normals, valid = _points_and_normals(
+        np.ascontiguousarray(frame.depth_m, dtype=np.float32),
+        K[0, 0],
+        K[1, 1],
+        K[0, 2],
+        K[1, 2],
+        T_turned_camera[:3, :3],
+        T_turned_camera[:3, 3],
+        config.max_depth_m,
+    )
+    if valid.sum() < 100:
+        return None
+    size = config.voxel_size_m
+    low, shape = _bounds(points[valid], size)
+    ids = np.zeros(frame.depth_m.shape, np.int32) if ids is None else ids.astype(np.int32)
+    coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
+    if len(coords) == 0:
+        return None
+    T_world_grid = np.eye(4)
+    T_world_grid[:3, :3] = R_world_grid
+    T_world_grid[:3, 3] = R_world_grid @ low
+    T_camera_grid = np.linalg.inv(np.array(frame.T_world_camera, dtype=np.float64)) @ T_world_grid
+    features = _features(coords, sums, low, size, T_turned_camera[:3, 3])
+    depth = np.where(frame.depth_m <= config.max_depth_m, frame.depth_m, 0).astype(np.float32)
+    return Volume(coords, features, labels, shape, size, T_world_grid, depth, K, T_camera_grid)
+
+
+def _features(coords, sums, low, size, camera_position) -> NDArray[np.float32]:
+    count = sums[:, :1]
+    offset = sums[:, 1:4] / count
+    normal = sums[:, 4:7]
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+    centers = coords * size + low
+    ray = centers - camera_position
+    distance = np.linalg.norm(ray, axis=1, keepdims=True)
+    view = ray[:, :2] / np.maximum(np.linalg.norm(ray[:, :2], axis=1, keepdims=True), 1e-6)
+    columns = (offset, normal, centers[:, 2:] / 2, distance / 4, view, np.log(count) / 4)
+    return np.concatenate(columns, axis=1).astype(np.float32)
