@@ -1,0 +1,203 @@
+"""Replay of a run for the rerun viewer: images, boxes, meshes, paths, states on one timeline."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from composenet.geometry.transform import quaternion_from_rotation
+from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, TrackState
+from composenet.view.figures import STATE_COLORS, label_of, track_color
+
+INSTALL_HINT = "no replay.rrd: rerun is not installed; pip install 'composenet[viz]' adds it"
+_JPEG_QUALITY = 85
+_TRAIL = 300
+"""steps of a path that are shown behind the current frame"""
+
+
+class Replay(Protocol):
+    """Receives every frame as it is tracked, and the meshes at the end."""
+
+    hint: str
+
+    def add_frame(self, frame: Frame, tracked: Sequence[TrackedObject]) -> None: ...
+
+    def finish(self, meshes: Mapping[int, trimesh.Trimesh]) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class NoReplay:
+    """Ignores everything. hint: why there is no replay, one line or empty."""
+
+    def __init__(self, hint: str = "") -> None:
+        self.hint = hint
+
+    def add_frame(self, frame: Frame, tracked: Sequence[TrackedObject]) -> None:
+        """Nothing."""
+
+    def finish(self, meshes: Mapping[int, trimesh.Trimesh]) -> None:
+        """Nothing."""
+
+    def close(self) -> None:
+        """Nothing."""
+
+
+def open_replay(path: Path, name: str) -> Replay:
+    """A replay that writes to `path`, or NoReplay with a hint where rerun is not installed."""
+    if importlib.util.find_spec("rerun") is None:
+        return NoReplay(INSTALL_HINT)
+    return RerunReplay(path, name)
+
+
+class RerunReplay:
+    """Writes an .rrd file while tracking. Timeline `frame`, entities below `world`.
+
+    world/camera (colour, depth), world/boxes, world/tracks/ID (pose) with mesh below,
+    world/paths/ID, states/ID.
+    """
+
+    hint = ""
+
+    def __init__(self, path: Path, name: str) -> None:
+        import rerun
+
+        self._rr = rerun
+        self._stream = rerun.RecordingStream("composenet", recording_id=None)
+        self._stream.save(path, default_blueprint=self._blueprint())
+        self._stream.send_recording_name(name)
+        self._stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._paths: dict[str, deque[FloatArray]] = {}
+        self._entities: dict[int, str] = {}
+        self._first: dict[int, int] = {}
+        self._last: dict[int, int] = {}
+        self._states: dict[int, TrackState] = {}
+
+    def add_frame(self, frame: Frame, tracked: Sequence[TrackedObject]) -> None:
+        """Log one frame and its tracks."""
+        self._stream.set_time("frame", sequence=frame.index)
+        if frame.timestamp_s is not None:
+            self._stream.set_time("time", duration=frame.timestamp_s)
+        self._log_camera(frame)
+        alive = [entry for entry in tracked if entry.state is not TrackState.ENDED]
+        self._log_boxes(alive)
+        for entry in tracked:
+            self._log_state(entry)
+        for entry in alive:
+            self._log_pose(entry)
+
+    def finish(self, meshes: Mapping[int, trimesh.Trimesh]) -> None:
+        """Log each track's mesh (canonical coordinates) for the frames it lived, and close."""
+        rr = self._rr
+        for track_id, mesh in meshes.items():
+            if track_id not in self._first:
+                continue
+            shape = rr.Mesh3D(
+                vertex_positions=mesh.vertices.astype(np.float32),
+                triangle_indices=mesh.faces,
+                vertex_normals=mesh.vertex_normals.astype(np.float32),
+                albedo_factor=track_color(track_id).tolist(),
+            )
+            self._stream.reset_time()
+            self._stream.set_time("frame", sequence=self._first[track_id])
+            self._stream.log(f"world/tracks/{track_id}/mesh", shape)
+            self._stream.set_time("frame", sequence=self._last[track_id] + 1)
+            self._stream.log(f"world/tracks/{track_id}/mesh", rr.Clear(recursive=False))
+        self.close()
+
+    def close(self) -> None:
+        """Write out what was logged; nothing can be added afterwards."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _log_camera(self, frame: Frame) -> None:
+        rr, camera, T = self._rr, frame.camera, frame.T_world_camera
+        pose = rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+        pinhole = rr.Pinhole(
+            image_from_camera=camera.K,
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.3,
+        )
+        self._stream.log("world/camera", pose, pinhole)
+        depth_mm = np.clip(np.round(frame.depth_m * 1000), 0, 65535).astype(np.uint16)
+        depth = rr.EncodedDepthImage(
+            _encoded(depth_mm, "PNG"), media_type="image/png", meter=1000.0
+        )
+        self._stream.log("world/camera/depth", depth)
+        if frame.color is not None:
+            color = rr.EncodedImage(contents=_encoded(frame.color, "JPEG"), media_type="image/jpeg")
+            self._stream.log("world/camera/color", color)
+        self._log_path("world/paths/camera", T[:3, 3], [130, 138, 148])
+
+    def _log_boxes(self, alive: Sequence[TrackedObject]) -> None:
+        rr = self._rr
+        boxes = rr.Boxes3D(
+            centers=[entry.S_world_canonical.t for entry in alive],
+            half_sizes=[np.asarray(entry.extents_m) / 2 for entry in alive],
+            quaternions=[
+                rr.Quaternion(xyzw=np.roll(quaternion_from_rotation(e.S_world_canonical.R), -1))
+                for e in alive
+            ],
+            colors=[track_color(entry.track_id) for entry in alive],
+            labels=[f"{label_of(entry)} {100 * entry.confidence:.0f} %" for entry in alive],
+            radii=[0.012 if entry.observed else 0.004 for entry in alive],
+        )
+        self._stream.log("world/boxes", boxes)
+
+    def _log_pose(self, entry: TrackedObject) -> None:
+        S, track_id = entry.S_world_canonical, entry.track_id
+        self._first.setdefault(track_id, entry.frame_index)
+        self._last[track_id] = entry.frame_index
+        pose = self._rr.Transform3D(translation=S.t, mat3x3=np.asarray(S.R) * S.scale_m)
+        self._stream.log(f"world/tracks/{track_id}", pose)
+        if entry.observed:
+            color = track_color(track_id).tolist()
+            self._log_path(f"world/paths/{track_id}", entry.box.center, color)
+
+    def _log_path(self, entity: str, point: FloatArray, color: list[int]) -> None:
+        trail = self._paths.setdefault(entity, deque(maxlen=_TRAIL))
+        trail.append(np.array(point))
+        if len(trail) > 1:
+            line = self._rr.LineStrips3D([np.stack(trail)], colors=[color], radii=[0.008])
+            self._stream.log(entity, line)
+
+    def _log_state(self, entry: TrackedObject) -> None:
+        rr = self._rr
+        first_name = f"states/track_{entry.track_id}_{CLASS_NAMES[entry.class_id]}"
+        entity = self._entities.setdefault(entry.track_id, first_name)
+        if entry.track_id not in self._states:
+            style = rr.StateConfiguration(
+                values=[state.value for state in TrackState],
+                labels=[state.value for state in TrackState],
+                colors=[int(STATE_COLORS[state][1:] + "ff", 16) for state in TrackState],
+            )
+            self._stream.log(entity, style, static=True)
+        if self._states.get(entry.track_id) is not entry.state:
+            self._stream.log(entity, rr.StateChange(state=entry.state.value))
+            self._states[entry.track_id] = entry.state
+
+    def _blueprint(self) -> Any:
+        rrb = self._rr.blueprint
+        world = rrb.Spatial3DView(origin="world", name="World")
+        color = rrb.Spatial2DView(
+            origin="world/camera", name="Colour", contents=["$origin/color", "world/boxes"]
+        )
+        depth = rrb.Spatial2DView(origin="world/camera/depth", name="Depth")
+        states = rrb.StateTimelineView(origin="states", name="States")
+        images = rrb.Vertical(color, depth, states)
+        return rrb.Blueprint(rrb.Horizontal(world, images, column_shares=[3, 2]))
+
+
+def _encoded(image: np.ndarray, kind: str) -> bytes:
+    data = io.BytesIO()
+    Image.fromarray(image).save(data, kind, quality=_JPEG_QUALITY)
+    return data.getvalue()
