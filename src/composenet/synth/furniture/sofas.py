@@ -315,7 +315,11 @@ def _camelback(rng: Rng) -> Shape:
     half = _body(builder, c, rng, cover, int(rng.choice([1, 3, 4])))
     u, v = np.linspace(-1, 1, 17)[:, None], np.linspace(0, 1, 5)[None]
     humps = rng.choice([1, 1, 1, 2])
-    arch = rng.uniform(0.08, 0.2) / humps * np.abs(np.cos(u * np.pi / 2 * humps + (humps == 2) * np.pi / 2))
+    arch = (
+        rng.uniform(0.08, 0.2)
+        / humps
+        * np.abs(np.cos(u * np.pi / 2 * humps + (humps == 2) * np.pi / 2))
+    )
     z = c.seat - 0.05 + v * (c.back - c.seat + arch + 0.05)
     x = c.rear - c.back_thick * 0.4 - c.lean * v
     grid = np.stack(np.broadcast_arrays(x, u * half * 0.98, z), axis=-1)
@@ -341,7 +345,9 @@ def wooden_couch(rng: Rng, builder: ShapeBuilder, c: Couch) -> None:
         builder.add(bar(*rest, rng.uniform(1, 2.2) * size, size * 0.7), frame)
         builder.add(bar((rear + 0.05, y, under), (front, y, under), size * 0.7, 0.06), frame)
         for x in np.linspace(rear, front, int(rng.choice([2, 2, 5, 8])))[1:-1]:
-            builder.add(box_between((x - 0.01, y - 0.01, under), (x + 0.01, y + 0.01, c.arm)), frame)
+            builder.add(
+                box_between((x - 0.01, y - 0.01, under), (x + 0.01, y + 0.01, c.arm)), frame
+            )
     for x in (rear + 0.06, front):
         builder.add(box((size * 0.7, 2 * half, 0.06), (x, 0, under)), frame)
     builder.add(box((c.depth * 0.85, 2 * half, 0.02), (0, 0, under + 0.03)), frame)
@@ -369,13 +375,21 @@ def _daybed(rng: Rng) -> Shape:
     size = (deep / rows, long / columns)
     for i in range(rows):
         for j in range(columns):
-            spot = ((i + 0.5) * size[0] - deep / 2, (j + 0.5) * size[1] - long / 2, height - thick / 2)
-            builder.add(rounded_box((size[0], size[1], thick), spot, rng.uniform(0.015, 0.02)), cover)
+            spot = (
+                (i + 0.5) * size[0] - deep / 2,
+                (j + 0.5) * size[1] - long / 2,
+                height - thick / 2,
+            )
+            builder.add(
+                rounded_box((size[0], size[1], thick), spot, rng.uniform(0.015, 0.02)), cover
+            )
     frame = wood(rng) if chance(rng, 0.6) else metal(rng)
     builder.add(box((deep, long, 0.05), (0, 0, height - thick - 0.02)), frame)
     for x in (-0.45 * deep, 0.45 * deep):
         for y in (-0.46 * long, 0.46 * long):
-            builder.add(post([(x * 1.03, y * 1.02, 0), (x, y, height - thick)], [0.025, 0.045]), frame)
+            builder.add(
+                post([(x * 1.03, y * 1.02, 0), (x, y, height - thick)], [0.025, 0.045]), frame
+            )
     radius = rng.uniform(0.07, 0.11)
     for side in (-1, 1) if chance(rng, 0.5) else (int(rng.choice([-1, 1])),):
         y = side * (long / 2 - radius)
