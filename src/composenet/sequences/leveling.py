@@ -11,15 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.geometry.camera import back_project, subsample_camera, subsample_offset
+from composenet.geometry.camera import back_project
 from composenet.geometry.transform import make_T, rotation_onto
 from composenet.records import Camera, FloatArray
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 """the camera's top in its own axes"""
 
-_NORMALS_WIDTH = 160  # pixels: normals are taken on about this image width
+_BLOCKS_ACROSS = 80  # the image is averaged to about this width
 _NEAR_M, _FAR_M = 0.3, 6.0  # depth that normals are taken from
+_MIN_SINE = float(np.sin(np.radians(10)))  # surfaces seen flatter than this are left out
+_MAX_AREA_M2 = 0.01  # the most that one block counts
 _CONE_DEG = 60.0  # up is sought this far around where the camera's top points
 _PARALLEL_DEG, _SIDEWAYS_DEG = 8.0, 5.0  # a normal counts as facing up, or sideways
 _REFINE_DEG = (12.0, 8.0, 5.0, 4.0, 4.0, 4.0)  # shrinking windows of the mean shift
@@ -31,8 +33,8 @@ _FLOOR_MIN_SHARE = 0.15  # of the largest horizontal plane; lower ones are refle
 @dataclass(frozen=True)
 class Surface:
     """Oriented points of one or more frames. points: (N, 3) metres; normals: (N, 3), unit,
-    facing the camera; weights: (N,), the area a pixel stands for in square metres, limited so
-    that far pixels do not outweigh near ones."""
+    facing the camera; weights: (N,), the area a block stands for in square metres, limited so
+    that far blocks do not outweigh near ones."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -58,31 +60,34 @@ def merge(surfaces: list[Surface]) -> Surface:
 def surface_of(depth_m: FloatArray, camera: Camera) -> Surface:
     """Oriented points, camera axes, of a depth image (H, W).
 
-    Normals are cross products of central differences over a coarse image; pixels whose
-    neighbours jump in depth, or that are seen at under 10 degrees, are left out.
+    Points are means over square blocks of pixels, which calms noise; normals are cross products
+    of central differences between blocks. Blocks with a hole, or whose neighbours jump in
+    depth, or that are seen at under 10 degrees, are left out.
     """
-    factor = max(1, round(camera.width / _NORMALS_WIDTH))
-    o = subsample_offset(factor)
-    points = back_project(depth_m[o::factor, o::factor], subsample_camera(camera, factor)).astype(
-        np.float64
-    )
-    if min(points.shape[:2]) < 3:
+    block = max(1, round(camera.width / _BLOCKS_ACROSS))
+    h, w = camera.height // block, camera.width // block
+    if min(h, w) < 3:
         return merge([])
-    right, left = points[1:-1, 2:], points[1:-1, :-2]
-    below, above = points[2:, 1:-1], points[:-2, 1:-1]
-    middle = points[1:-1, 1:-1]
-    normals = np.cross(below - above, right - left)
+    pixels = back_project(depth_m, camera)[: h * block, : w * block].astype(np.float64)
+    tiles = pixels.reshape(h, block, w, block, 3)
+    points = tiles.mean(axis=(1, 3))
+    nearest, farthest = tiles[..., 2].min(axis=(1, 3)), tiles[..., 2].max(axis=(1, 3))
+    middle, nearest, farthest = points[1:-1, 1:-1], _cross(nearest), _cross(farthest)
+    normals = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
     area = np.linalg.norm(normals, axis=-1)
-    distance = np.linalg.norm(middle, axis=-1)
-    z = np.stack([right[..., 2], left[..., 2], below[..., 2], above[..., 2], middle[..., 2]])
-    good = (z.min(axis=0) > _NEAR_M) & (z.max(axis=0) < _FAR_M) & (area > 0)
-    good &= np.ptp(z, axis=0) < 0.1 * middle[..., 2]
-    normals, area, middle, distance = normals[good], area[good], middle[good], distance[good]
+    good = (nearest.min(axis=0) > _NEAR_M) & (farthest.max(axis=0) < _FAR_M) & (area > 0)
+    good &= farthest.max(axis=0) - nearest.min(axis=0) < 0.2 * middle[..., 2]
+    normals, area, middle = normals[good], area[good], middle[good]
     normals /= area[:, None]
-    cosine = -(normals * middle).sum(axis=1) / distance
-    seen = cosine > np.sin(np.radians(10))
-    weights = np.minimum(area / 4, 4e-3)
+    seen = -(normals * middle).sum(axis=1) > _MIN_SINE * np.linalg.norm(middle, axis=1)
+    weights = np.minimum(area / 4, _MAX_AREA_M2)
     return Surface(middle[seen], normals[seen], weights[seen])
+
+
+def _cross(image: FloatArray) -> NDArray[np.float64]:
+    """(5, H - 2, W - 2): every inner cell with its four neighbours."""
+    middle, rows, columns = slice(1, -1), image[:, 1:-1], image[1:-1]
+    return np.stack([image[middle, middle], rows[2:], rows[:-2], columns[:, 2:], columns[:, :-2]])
 
 
 def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | None:
@@ -91,12 +96,12 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
     Candidates within 60 degrees of `roughly_up` are scored by the share of normals within
     8 degrees of them plus half the share of those square to them (5 degrees), times the cosine
     to `roughly_up`. Mean shift over the normals, its window shrinking to 4 degrees, refines the
-    best. None where under 3 % of the normals face that way.
+    best, then a fit to the largest plane. None where under 3 % of the normals face that way.
     """
-    total = surface.weights.sum()
-    if not total > 0:
+    total, length = surface.weights.sum(), np.linalg.norm(roughly_up)
+    if not (total > 0 and length > 1e-6):
         return None
-    roughly_up = roughly_up / np.linalg.norm(roughly_up)
+    roughly_up = roughly_up / length
     candidates = _directions(1500)
     candidates = candidates[candidates @ roughly_up > np.cos(np.radians(_CONE_DEG))]
     pick = np.random.default_rng(0).permutation(len(surface.weights))[:2000]
@@ -117,7 +122,8 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
 
 def _plane_refined(surface: Surface, up: FloatArray) -> NDArray[np.float64]:
     """The normal of the largest plane square to `up`, which a wide plane gives better than
-    noisy normals do; `up` itself where the plane is under 1 m wide or turns it over 5 deg."""
+    noisy normals do; `up` itself where the plane is narrow (under 0.15 m standard deviation
+    across) or turns it over 5 degrees."""
     flat = surface.normals @ up > np.cos(np.radians(15))
     points, weights = surface.points[flat], surface.weights[flat]
     height = points @ up
@@ -127,13 +133,13 @@ def _plane_refined(surface: Surface, up: FloatArray) -> NDArray[np.float64]:
     refined = np.asarray(up, dtype=np.float64)
     up = refined
     for window_m in (0.06, 0.04, 0.03, 0.03):
-        if np.ptp(points[near], axis=0).max(initial=0) < 1:
+        if not near.any():
             return up
         middle = np.average(points[near], axis=0, weights=weights[near])
-        centered = points[near] - middle
-        _, vectors = np.linalg.eigh((centered * weights[near, None]).T @ centered)
+        spread = np.cov(points[near].T, aweights=weights[near], ddof=0)
+        variances, vectors = np.linalg.eigh(spread)
         refined = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
-        if refined @ up < np.cos(np.radians(5)):
+        if variances[1] < 0.15**2 or refined @ up < np.cos(np.radians(5)):
             return up
         near = np.abs((points - middle) @ refined) < window_m
     return refined
@@ -238,8 +244,8 @@ def _facing_x(up: FloatArray) -> NDArray[np.float64]:
 
 
 def _bins(height: FloatArray) -> NDArray[np.float64]:
-    """Edges of 2 cm bins over the heights."""
-    count = int(np.ptp(height) / _FLOOR_BIN_M) + 1
+    """Edges of 2 cm bins over the heights, at least three bins."""
+    count = max(3, int(np.ptp(height) / _FLOOR_BIN_M) + 1)
     return height.min() + _FLOOR_BIN_M * np.arange(count + 1)
 
 
