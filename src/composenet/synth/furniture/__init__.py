@@ -13,7 +13,18 @@ from composenet.synth.shape import Shape
 
 Builder = Callable[[np.random.Generator], Shape]
 
-_MODULES = ("bathroom", "bed", "storage", "chairs", "tables", "sofas", "clutter")
+_MODULES = (
+    "bathtubs",
+    "beds",
+    "bookshelves",
+    "cabinets",
+    "chairs",
+    "clutter",
+    "sinks",
+    "sofas",
+    "tables",
+    "toilets",
+)
 
 
 @cache
