@@ -1,4 +1,4 @@
-"""Depth, colour and instance images of triangle meshes by a z-buffer.
+"""Depth and face images of triangle meshes by a z-buffer.
 
 Every pixel centre is a ray; a triangle covers it when the ray passes on the same side of
 its three edge planes (homogeneous rasterisation: no triangle needs to be cut at the near
@@ -42,17 +42,6 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Light:
-    """sun: (3,) unit vector towards the sun, world. lamp: (3,) world position. Strengths >= 0."""
-
-    sun: FloatArray
-    lamp: FloatArray
-    ambient: float = 0.45
-    sun_strength: float = 0.35
-    lamp_strength: float = 0.5
-
-
-@dataclass(frozen=True)
 class Buffers:
     """What the z-buffer saw. depth_m: (H, W) float32, 0 where nothing is. face: (H, W) int32,
     -1 where nothing is. points_camera: (V, 3) float32, the transformed vertices."""
@@ -92,7 +81,7 @@ def draw(mesh: Mesh, T_camera_instance: FloatArray, camera: Camera) -> Buffers:
     points = _transform(mesh.vertices, mesh.vertex_instance, np.float64(T_camera_instance))
     depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
     face = np.full((camera.height, camera.width), -1, dtype=np.int32)
-    _fill(points, mesh.faces, *_focal(camera), depth, face)
+    _fill(points, mesh.faces, *focal(camera), depth, face)
     depth[face < 0] = 0.0
     return Buffers(depth, face, points)
 
@@ -102,7 +91,7 @@ def silhouette_pixels(
 ) -> int:
     """Pixels that a mesh alone would cover if the image reached `widths` image widths and
     heights further on each side. points_camera: (V, 3); faces: (F, 3)."""
-    fx, fy, cx, cy = _focal(camera)
+    fx, fy, cx, cy = focal(camera)
     front = points_camera[:, 2] > NEAR_M
     if not front.any():
         return 0
@@ -133,38 +122,12 @@ def surface(mesh: Mesh, buffers: Buffers, camera: Camera) -> NDArray[np.float32]
         brightness,
         mesh.shininess,
         buffers.face,
-        *_focal(camera),
+        *focal(camera),
     )
 
 
-def shade(
-    mesh: Mesh,
-    buffers: Buffers,
-    T_camera_instance: FloatArray,
-    T_world_camera: FloatArray,
-    camera: Camera,
-    light: Light,
-) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 colour: procedural patterns in object coordinates under sun, lamp and
-    ambient light."""
-    return _shade(
-        buffers.points_camera,
-        mesh.faces,
-        mesh.face_instance,
-        mesh.face_material,
-        (mesh.color, mesh.pattern, mesh.pattern_m, mesh.shininess),
-        buffers.depth_m,
-        buffers.face,
-        np.linalg.inv(T_camera_instance),
-        np.float64(T_world_camera),
-        _focal(camera),
-        np.float64(light.sun),
-        np.float64(light.lamp),
-        np.array([light.ambient, light.sun_strength, light.lamp_strength]),
-    )
-
-
-def _focal(camera: Camera) -> tuple[float, float, float, float]:
+def focal(camera: Camera) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy in pixels."""
     K = camera.K
     return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
 
@@ -250,7 +213,7 @@ def _fill(points, faces, fx, fy, cx, cy, depth, face):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True, nogil=True)
-def _normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
+def face_normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
     """Unit normal of a face turned towards the camera, and the cosine of incidence of the
     ray (x, y, 1)."""
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -279,102 +242,8 @@ def _surface(points, faces, face_material, brightness, shininess, face, fx, fy, 
         for u in range(width):
             f = face[v, u]
             if f >= 0:
-                normal = _normal(points, faces, f, (u - cx) / fx, (v - cy) / fy)
+                normal = face_normal(points, faces, f, (u - cx) / fx, (v - cy) / fy)
                 out[v, u, 0] = normal[3]
                 out[v, u, 1] = brightness[face_material[f]]
                 out[v, u, 2] = shininess[face_material[f]]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _hash(i, j, k):  # type: ignore[no-untyped-def]
-    h = np.uint32(i * 374761393 + j * 668265263 + k * 1440662683)
-    h = np.uint32((h ^ (h >> np.uint32(13))) * np.uint32(1274126177))
-    return np.float64((h ^ (h >> np.uint32(16))) & np.uint32(65535)) / 65535.0
-
-
-@numba.njit(cache=True, nogil=True)
-def _value_noise(x, y, z):  # type: ignore[no-untyped-def]
-    """Smooth noise in 0..1 with period about 1."""
-    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    a, b, c = x - i, y - j, z - k
-    a, b, c = a * a * (3 - 2 * a), b * b * (3 - 2 * b), c * c * (3 - 2 * c)
-    total = 0.0
-    for di in range(2):
-        for dj in range(2):
-            for dk in range(2):
-                weight = (a if di else 1 - a) * (b if dj else 1 - b) * (c if dk else 1 - c)
-                total += weight * _hash(i + di, j + dj, k + dk)
-    return total
-
-
-@numba.njit(cache=True, nogil=True)
-def _pattern(kind, x, y, z):  # type: ignore[no-untyped-def]
-    """Factor on the base colour at a point given in pattern periods."""
-    if kind == 1:  # wood: rings stretched along the grain, planks
-        grain = x * 4 + 1.5 * _value_noise(x, y * 0.3, z)
-        ring = 0.5 + 0.5 * np.sin(6.28 * (grain + _value_noise(x * 2, y * 0.5, z * 2)))
-        plank = _hash(int(np.floor(x)), 7, int(np.floor(z)))
-        return 0.72 + 0.2 * ring + 0.16 * plank
-    if kind == 2:  # fabric: fine weave and soft blotches
-        weave = np.sin(6.28 * 2 * (x + y)) * np.sin(6.28 * 2 * (y + z))
-        return 0.86 + 0.1 * weave + 0.16 * (_value_noise(x * 3, y * 3, z * 3) - 0.5)
-    if kind == 3:
-        even = (int(np.floor(x)) + int(np.floor(y)) + int(np.floor(z))) % 2 == 0
-        return 1.05 if even else 0.7
-    if kind == 4:
-        return 1.05 if (x + y) - np.floor(x + y) < 0.5 else 0.75
-    return 0.95 + 0.08 * (_value_noise(x * 2, y * 2, z * 2) - 0.5)
-
-
-@numba.njit(cache=True, nogil=True)
-def _shade(  # type: ignore[no-untyped-def]
-    points,
-    faces,
-    face_instance,
-    face_material,
-    materials,
-    depth,
-    face,
-    to_object,
-    pose,
-    focal,
-    sun,
-    lamp,
-    strengths,
-):
-    colors, patterns, periods, shininess = materials
-    fx, fy, cx, cy = focal
-    height, width = face.shape
-    out = np.empty((height, width, 3), dtype=np.uint8)
-    for v in range(height):
-        for u in range(width):
-            f = face[v, u]
-            if f < 0:
-                for k in range(3):
-                    out[v, u, k] = 205 + 15 * k
-                continue
-            x, y, z = (u - cx) / fx, (v - cy) / fy, depth[v, u]
-            nx, ny, nz, cosine = _normal(points, faces, f, x, y)
-            M = to_object[face_instance[f]]
-            m = face_material[f]
-            p = np.empty(3)
-            n = np.empty(3)
-            to_lamp = np.empty(3)
-            for k in range(3):
-                p[k] = (z * (M[k, 0] * x + M[k, 1] * y + M[k, 2]) + M[k, 3]) / periods[m]
-                n[k] = pose[k, 0] * nx + pose[k, 1] * ny + pose[k, 2] * nz
-                world = z * (pose[k, 0] * x + pose[k, 1] * y + pose[k, 2]) + pose[k, 3]
-                to_lamp[k] = lamp[k] - world
-            distance = np.sqrt((to_lamp * to_lamp).sum()) + 1e-6
-            at_sun = max(0.0, (n * sun).sum())
-            at_lamp = max(0.0, (n * to_lamp).sum() / distance)
-            lit = strengths[0] * (0.8 + 0.2 * n[2]) + strengths[1] * at_sun
-            lit += strengths[2] * at_lamp * min(1.5, 6.0 / (1 + distance * distance))
-            lit += 0.15 * cosine
-            gloss = 0.35 * shininess[m] * (cosine**20 + at_lamp**40)
-            factor = _pattern(patterns[m], p[0] + 1e-4, p[1] + 1e-4, p[2] + 1e-4) * lit
-            for k in range(3):
-                value = min(1.0, max(0.0, colors[m, k] * factor + gloss))
-                out[v, u, k] = int(255 * value**0.8)
     return out

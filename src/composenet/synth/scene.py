@@ -32,6 +32,7 @@ from composenet.synth.motion import move_camera, move_items
 from composenet.synth.occupancy import occupancy
 from composenet.synth.placement import Layout
 from composenet.synth.sensor import Sensor, measure, sample_sensor
+from composenet.synth.shading import Light, shade
 from composenet.synth.shape import Shape
 
 GENERATOR_VERSION = 1
@@ -77,7 +78,7 @@ class Scene:
     gt_ids: NDArray[np.uint16]
     T_world_shape: NDArray[np.float64]
     sensor: Sensor
-    light: render.Light
+    light: Light
 
     @property
     def n_frames(self) -> int:
@@ -104,7 +105,7 @@ class Scene:
             surface = render.surface(self.mesh, buffers, self.camera)
             depth_m = measure(self.sensor, buffers.depth_m, surface, self.camera, rng)
         if color:
-            rgb = render.shade(
+            rgb = shade(
                 self.mesh, buffers, T_camera_shape, self.T_world_camera[i], self.camera, self.light
             )
         frame = Frame(
@@ -282,7 +283,7 @@ def _shape_poses(layout: Layout, paths: NDArray[np.float64]) -> NDArray[np.float
     return poses
 
 
-def _light(rng: np.random.Generator, layout: Layout, T_world_room: FloatArray) -> render.Light:
+def _light(rng: np.random.Generator, layout: Layout, T_world_room: FloatArray) -> Light:
     width, depth = layout.room.size_m
     lamp = [
         width * rng.uniform(0.3, 0.7),
@@ -290,7 +291,7 @@ def _light(rng: np.random.Generator, layout: Layout, T_world_room: FloatArray) -
         layout.room.height_m - 0.3,
     ]
     sun = np.array([*rng.uniform(-1, 1, 2), rng.uniform(0.4, 1.0)])
-    return render.Light(
+    return Light(
         sun=sun / np.linalg.norm(sun),
         lamp=apply_T(T_world_room, np.array(lamp)),
         ambient=float(rng.uniform(0.35, 0.55)),
