@@ -15,7 +15,8 @@ _POSSIBLE_MEDIAN_M = (0.1, 30.0)
 _USUAL_MEDIAN_M = (0.4, 8.0)
 _COMMON_SCALES = (1000.0, 5000.0, 4000.0, 10000.0, 256.0, 100.0, 1.0)
 _MAX_STEP_M = 5.0
-_MAX_SPAN_M = 1000.0
+MAX_SPAN_M = 1000.0
+_IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
 def check_camera(source: Source, K: FloatArray | None, width: int, height: int) -> Camera:
@@ -67,23 +68,41 @@ def check_depth(path: Path, samples: Mapping[int, FloatArray], scale: float) -> 
     return [text]
 
 
-def check_trajectory(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
-    """A note on a camera that jumps. Raises SequenceError when its path is too large for metres.
+def lost_cameras(path: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]:
+    """Frames whose camera is over 1 km from the others' median; none without poses.
 
-    frames: those used; without poses nothing is checked.
+    Raises SequenceError when that is 30 % of them or more: no room is that large.
     """
-    centers = [f.T_source_camera[:3, 3] for f in frames if f.T_source_camera is not None]
-    if len(centers) < 2:
+    centers = _centers(frames)
+    if not len(centers):
         return []
-    steps_m = np.linalg.norm(np.diff(centers, axis=0), axis=1)
-    step_m, span_m = float(np.median(steps_m)), float(np.ptp(centers, axis=0).max())
-    if step_m > _MAX_STEP_M or span_m > _MAX_SPAN_M:
+    far_m = np.abs(centers - np.median(centers, axis=0)).max(axis=1)
+    lost = far_m > MAX_SPAN_M
+    if lost.mean() >= 0.3:
+        raise SequenceError(f"{path}: the camera travels {_metres(far_m.max())}: {_IN_MILLIMETRES}")
+    return [frame for frame, is_lost in zip(frames, lost, strict=True) if is_lost]
+
+
+def check_steps(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
+    """A note on a camera that jumps; nothing without poses.
+
+    Raises SequenceError when its median step is over 5 m.
+    """
+    steps_m = np.linalg.norm(np.diff(_centers(frames), axis=0), axis=1)
+    if not len(steps_m):
+        return []
+    step_m, jumps = float(np.median(steps_m)), int((steps_m > _MAX_STEP_M).sum())
+    if step_m > _MAX_STEP_M:
         raise SequenceError(
-            f"{path}: the camera moves {_metres(step_m)} a frame and {_metres(span_m)} in all: "
-            "are the poses in millimetres? Metres are expected"
+            f"{path}: the camera moves {_metres(step_m)} a frame: {_IN_MILLIMETRES}"
         )
-    jumps = int((steps_m > _MAX_STEP_M).sum())
-    return [f"the camera jumps over {_MAX_STEP_M:g} m between frames {jumps} times"] * (jumps > 0)
+    return [f"jumps of the camera over {_MAX_STEP_M:g} m between frames: {jumps}"] * (jumps > 0)
+
+
+def _centers(frames: Sequence[SourceFrame]) -> FloatArray:
+    """(N, 3) camera centres; empty without poses."""
+    centers = [f.T_source_camera[:3, 3] for f in frames if f.T_source_camera is not None]
+    return np.array(centers).reshape(-1, 3)
 
 
 def floor_notes(camera_centers: FloatArray) -> list[str]:

@@ -56,7 +56,8 @@ class RecordedSequence:
         self.camera = subsample_camera(full, self._factor)
         self._full = full
         self._notes = [*source.warnings, *checks.camera_notes(full)]
-        self._notes += checks.check_trajectory(source.path, self._frames)
+        self._drop_lost_cameras()
+        self._notes += checks.check_steps(source.path, self._frames)
         samples = self._read_samples()
         self._notes += checks.check_depth(source.path, samples, self._depth_scale)
         self._level(samples)
@@ -137,6 +138,11 @@ class RecordedSequence:
         given = self._options.intrinsics
         K = self._source.K if given is None else make_K(*given)
         return checks.check_camera(self._source, K, width, height)
+
+    def _drop_lost_cameras(self) -> None:
+        for frame in checks.lost_cameras(self._source.path, self._frames):
+            self._skip(frame, f"camera is over {checks.MAX_SPAN_M:,.0f} m from the others")
+        self._frames = [frame for frame in self._frames if frame.index not in self._skipped]
 
     def _read_samples(self) -> dict[int, NDArray[np.float32]]:
         """Depth of up to 16 readable frames spread over the recording, by place in it."""

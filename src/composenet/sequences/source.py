@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from composenet.errors import SequenceError
 from composenet.records import FloatArray
 
+_MAX_POSE_NUMBER = 1e9  # metres; larger ones overflow sooner or later
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
 
@@ -111,7 +112,7 @@ def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
 
     Rotations are accepted within 1 % of orthonormal and made exact.
     """
-    if not np.isfinite(T).all():
+    if not (np.abs(T) < _MAX_POSE_NUMBER).all():
         return replace(frame, problem="pose is not finite (NaN or inf)")
     R = T[:3, :3]
     rigid = np.abs(R).max() < 2 and np.allclose(R.T @ R, np.eye(3), atol=0.02)

@@ -112,7 +112,7 @@ def _posed(frame: SourceFrame, row: NDArray[np.float64] | None) -> SourceFrame:
     if row is None:
         return replace(frame, problem=f"no pose within {MAX_GAP_S} s")
     x, y, z, w = row[3:]
-    norm = np.linalg.norm(row[3:])
+    norm = float(np.sqrt(np.square(np.clip(row[3:], -2, 2)).sum()))
     if not np.isfinite(row).all():
         return replace(frame, problem="pose is not finite (NaN or inf)")
     if not 0.9 < norm < 1.1:

@@ -1,0 +1,461 @@
+"""Readers: three formats, what each bad input says, and that no corruption crashes them."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from composenet import config
+from composenet.errors import ConfigError, SequenceError
+from composenet.geometry.camera import pixel_rays
+from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
+from composenet.records import Camera
+from composenet.sequences import SequenceOptions, open_sequence
+from composenet.sequences.tum import nearest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "sequences"
+WIDTH, HEIGHT, COUNT = 24, 18, 4
+K = np.array([[20.0, 0, 11.5], [0, 20.0, 8.5], [0, 0, 1]])
+AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # looks along +x
+DOWN = AHEAD @ Rotation.from_euler("x", -40, degrees=True).as_matrix()
+
+
+def depth_units(index: int, scale: float = 1000) -> np.ndarray:
+    """A floor 1.2 m below the camera and a wall at x = 3; the last column is unmeasured."""
+    rays = pixel_rays(Camera(K, WIDTH, HEIGHT)) @ DOWN.T
+    depth = np.minimum(1.2 / np.maximum(-rays[..., 2], 1e-6), (3 - 0.1 * index) / rays[..., 0])
+    depth[:, -1] = 0
+    return np.round(depth * scale).astype(np.uint16)
+
+
+def pose(index: int) -> np.ndarray:
+    return make_T(DOWN, [0.1 * index, 0, 1.2])
+
+
+def save_depth(path: Path, units: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(units).save(path)
+
+
+def save_color(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", size, (200, 30, 30)).save(path)
+
+
+def save_text(path: Path, numbers: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, numbers)
+
+
+def write_plain(root: Path, count: int = COUNT) -> Path:
+    for i in range(count):
+        save_depth(root / f"depth/frame-{i}.png", depth_units(i))
+        save_color(root / f"color/frame-{i}.jpg")
+        save_text(root / f"pose/frame-{i}.txt", pose(i))
+    save_text(root / "camera-intrinsics.txt", K)
+    save_text(root / "gravity-direction.txt", np.array([0.0, 0, -1]))
+    return root
+
+
+def write_scannet(root: Path, count: int = COUNT) -> Path:
+    for i in range(count):
+        save_depth(root / f"depth/{i}.png", depth_units(i))
+        save_color(root / f"color/{i}.jpg", (60, 40))
+        save_text(root / f"pose/{i}.txt", pose(i))
+    K4 = np.eye(4)
+    K4[:3, :3] = K
+    save_text(root / "intrinsic/intrinsic_depth.txt", K4)
+    return root
+
+
+def write_tum(root: Path, count: int = COUNT) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    depth, color, truth = ["# depth maps"], ["# color"], ["# ground truth"]
+    for i in range(count):
+        t = 1305031102.1 + i / 30
+        save_depth(root / f"depth/{t:.6f}.png", depth_units(i, 5000))
+        save_color(root / f"rgb/{t + 0.01:.6f}.png")
+        depth.append(f"{t:.6f} depth/{t:.6f}.png")
+        color.append(f"{t + 0.01:.6f} rgb/{t + 0.01:.6f}.png")
+        w, x, y, z = quaternion_from_rotation(pose(i)[:3, :3])
+        tx, ty, tz = pose(i)[:3, 3]
+        truth.append(f"{t - 0.004:.4f} {tx} {ty} {tz} {x} {y} {z} {w}")
+    for name, lines in (("depth", depth), ("rgb", color), ("groundtruth", truth)):
+        (root / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    save_text(root / "camera-intrinsics.txt", K)
+    return root
+
+
+WRITERS = {"plain": write_plain, "scannet": write_scannet, "tum": write_tum}
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    return write_plain(tmp_path / "walk")
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_format_gives_the_same_frames(kind, tmp_path):
+    sequence = open_sequence(WRITERS[kind](tmp_path / kind))
+    frames = list(sequence)
+    assert sequence.name == kind and sequence.has_poses
+    assert len(sequence) == len(frames) == COUNT
+    assert sequence.skipped == [] and sequence.warnings == []
+    assert [frame.index for frame in frames] == list(range(COUNT))
+    np.testing.assert_array_equal(sequence.camera.K, K)
+    for i, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.depth_m, depth_units(i) / 1000, atol=6e-4)
+        assert frame.depth_m.dtype == np.float32
+        assert frame.color.shape == (HEIGHT, WIDTH, 3) and frame.color.dtype == np.uint8
+        source = inverse_T(sequence.T_level_source) @ frame.T_world_camera
+        np.testing.assert_allclose(source, pose(i), atol=1e-6)
+        np.testing.assert_allclose(frame.T_world_camera, pose(i), atol=0.03)
+
+
+def test_iterates_as_often_as_wanted(plain):
+    sequence = open_sequence(plain)
+    assert [f.name for f in sequence] == [f.name for f in sequence]
+
+
+def test_names_sort_as_numbers(tmp_path):
+    names = [frame.name for frame in open_sequence(write_scannet(tmp_path / "s", 12))]
+    assert names == [str(i) for i in range(12)]
+
+
+def test_stride_and_max_frames_keep_the_recordings_index(tmp_path):
+    root = write_plain(tmp_path / "s", 9)
+    (root / "depth/frame-3.png").unlink()
+    sequence = open_sequence(root, stride=3, max_frames=3)
+    assert [frame.index for frame in sequence] == [0, 6]
+    assert sequence.skipped == [("frame-3", "no depth image")]
+
+
+def test_timestamps_come_from_tum(tmp_path):
+    times = [frame.timestamp_s for frame in open_sequence(write_tum(tmp_path / "s"))]
+    np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-5)
+
+
+def test_nearest_timestamp_table():
+    at = np.array([0.0, 1.0, 2.0, 3.0])
+    stream = np.array([3.019, 0.011, -0.01, 1.021])
+    assert nearest(at, stream).tolist() == [2, -1, -1, 0]
+    assert nearest(at, np.zeros(0)).tolist() == [-1] * 4
+
+
+def test_wide_images_are_subsampled_exactly(plain):
+    sequence = open_sequence(plain, options=SequenceOptions(max_width=16))
+    frame = next(iter(sequence))
+    assert frame.depth_m.shape == (9, 12) and frame.color.shape == (9, 12, 3)
+    np.testing.assert_allclose(frame.depth_m, depth_units(0)[::2, ::2] / 1000)
+    np.testing.assert_allclose(sequence.camera.K[0], [10, 0, 5.75])
+
+
+def test_generated_worlds_are_left_as_they_are(tmp_path):
+    root = write_scannet(tmp_path / "s")
+    (root / "annotations.json").write_text("{}")
+    sequence = open_sequence(root)
+    np.testing.assert_array_equal(sequence.T_level_source, np.eye(4))
+
+
+def test_garbage_depth_is_dropped(plain):
+    units = depth_units(0)
+    units[0, :3] = [65535, 12_000, 9_000]
+    save_depth(plain / "depth/frame-0.png", units)
+    depth_m = next(iter(open_sequence(plain))).depth_m
+    assert depth_m[0, :3].tolist() == [0, 0, 9]
+
+
+# Frames left out, each with its reason
+
+
+def spoil(root: Path, what: str) -> None:
+    """Spoil frame-2 of a plain recording."""
+    depth, pose_file = root / "depth/frame-2.png", root / "pose/frame-2.txt"
+    if what == "no depth":
+        depth.unlink()
+    elif what == "truncated depth":
+        depth.write_bytes(depth.read_bytes()[:-60])
+    elif what == "no image":
+        depth.write_bytes(b"this is no image")
+    elif what == "8 bit":
+        Image.new("L", (WIDTH, HEIGHT), 90).save(depth)
+    elif what == "size":
+        save_depth(depth, depth_units(2)[:9])
+    elif what == "no measurement":
+        save_depth(depth, np.zeros((HEIGHT, WIDTH), np.uint16))
+    elif what == "no pose":
+        pose_file.unlink()
+    elif what == "text pose":
+        pose_file.write_text("1 0 0 nothing")
+    else:
+        T = pose(2)
+        spoiled = {"nan": T * np.nan, "-inf": np.full((4, 4), -np.inf), "scaled": 2 * T}
+        spoiled["mirrored"] = T @ np.diag([1, 1, -1, 1])
+        save_text(pose_file, spoiled[what])
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("no depth", "no depth image"),
+        ("truncated depth", "depth image is truncated or corrupt"),
+        ("no image", "depth image is corrupt or of an unknown kind"),
+        ("8 bit", "depth is not a 16-bit grey image (mode L)"),
+        ("size", "depth is 24x9, the others are 24x18"),
+        ("no measurement", "depth image holds no measurement"),
+        ("no pose", "no pose"),
+        ("text pose", "pose is not a 4x4 matrix"),
+        ("nan", "pose is not finite (NaN or inf)"),
+        ("-inf", "pose is not finite (NaN or inf)"),
+        ("scaled", "pose is not rigid (a rotation and a translation expected)"),
+        ("mirrored", "pose is not rigid (a rotation and a translation expected)"),
+    ],
+)
+def test_one_bad_frame_is_skipped_with_its_reason(plain, what, reason):
+    spoil(plain, what)
+    sequence = open_sequence(plain)
+    assert [frame.name for frame in sequence] == ["frame-0", "frame-1", "frame-3"]
+    assert sequence.skipped == [("frame-2", reason)]
+    assert sequence.warnings == [f"1 frame skipped: {reason} (frame-2)"]
+
+
+def test_invalid_poses_are_counted(plain):
+    for i in (1, 3):
+        save_text(plain / f"pose/frame-{i}.txt", np.full((4, 4), -np.inf))
+    expected = "2 frames skipped: pose is not finite (NaN or inf) (first frame-1)"
+    assert open_sequence(plain).warnings == [expected]
+
+
+def test_colour_may_be_missing_or_corrupt(plain):
+    (plain / "color/frame-0.jpg").unlink()
+    path = plain / "color/frame-1.jpg"
+    path.write_bytes(path.read_bytes()[:200])
+    sequence = open_sequence(plain)
+    assert [frame.color is None for frame in sequence] == [True, True, False, False]
+    assert len(sequence.warnings) == 1 and "1 frame without colour" in sequence.warnings[0]
+    shutil.rmtree(plain / "color")
+    assert all(frame.color is None for frame in open_sequence(plain))
+
+
+def test_colour_of_other_names_is_left_out(plain):
+    for path in (plain / "color").iterdir():
+        path.rename(path.with_stem("rgb-" + path.stem))
+    sequence = open_sequence(plain)
+    assert len(list(sequence)) == COUNT
+    assert "no file has the name of a depth image" in sequence.warnings[0]
+
+
+def test_without_poses_each_frame_is_levelled_with_a_warning(plain):
+    shutil.rmtree(plain / "pose")
+    sequence = open_sequence(plain)
+    assert not sequence.has_poses
+    assert "tracked in its camera's own levelled frame" in sequence.warnings[0]
+    for frame in sequence:
+        np.testing.assert_allclose(frame.T_world_camera, pose(0), atol=0.05)
+
+
+# Recordings that cannot be used: one line that says what to do
+
+
+def assert_refused(path: Path, *words: str, **arguments) -> None:
+    with pytest.raises(SequenceError) as caught:
+        open_sequence(path, **arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+def test_missing_folder(tmp_path):
+    assert_refused(tmp_path / "nowhere", "nowhere", "no such folder")
+
+
+def test_a_file_instead_of_a_folder(tmp_path):
+    path = tmp_path / "scene0000_00.sens"
+    path.write_bytes(b"\x04")
+    assert_refused(path, "is a file, not a folder")
+
+
+def test_a_foreign_folder(tmp_path):
+    assert_refused(tmp_path, "neither a depth/ folder nor depth.txt")
+
+
+def test_an_empty_recording(tmp_path):
+    (tmp_path / "depth").mkdir()
+    assert_refused(tmp_path, "depth", "no depth image")
+
+
+def test_an_empty_tum_list(tmp_path):
+    (tmp_path / "depth.txt").write_text("# nothing\n")
+    assert_refused(tmp_path, "depth.txt", "no `timestamp file` line")
+
+
+def test_missing_intrinsics_name_the_flag_and_the_file(plain):
+    (plain / "camera-intrinsics.txt").unlink()
+    assert_refused(plain, "--intrinsics fx,fy,cx,cy", "camera-intrinsics.txt", "24x18")
+    options = SequenceOptions(intrinsics=(20, 20, 11.5, 8.5))
+    np.testing.assert_array_equal(open_sequence(plain, options=options).camera.K, K)
+
+
+@pytest.mark.parametrize("text", ["", "1 2 3", "a b c d e f g h i", "0 " * 9, "nan " * 9])
+def test_broken_intrinsics_name_their_file(plain, text):
+    (plain / "camera-intrinsics.txt").write_text(text)
+    assert_refused(plain, "camera-intrinsics.txt")
+
+
+def test_intrinsics_of_another_image_size(plain):
+    save_text(plain / "camera-intrinsics.txt", K * 40)
+    assert_refused(plain, "camera-intrinsics.txt")
+    save_text(plain / "camera-intrinsics.txt", np.diag([1.4, 1.4, 1]) @ K)
+    assert "another image size" in open_sequence(plain).warnings[0]
+
+
+@pytest.mark.parametrize("text", ["0 0 0", "down", "nan 0 1", "1 2"])
+def test_broken_gravity_names_its_file(plain, text):
+    (plain / "gravity-direction.txt").write_text(text)
+    assert_refused(plain, "gravity-direction.txt")
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (1, ("median depth 1,", "is depth_scale 1000 meant?", "--depth-scale")),
+        (100_000, ("median depth 0.01", "is depth_scale 1000 meant?")),
+    ],
+)
+def test_impossible_depth_scale_is_named(plain, scale, words):
+    assert_refused(plain, *words, options=SequenceOptions(depth_scale=scale))
+
+
+def test_doubtful_depth_scale_is_a_warning(plain):
+    sequence = open_sequence(plain, options=SequenceOptions(depth_scale=200, max_depth_m=20))
+    assert "is depth_scale 1000 meant?" in sequence.warnings[0]
+    assert len(list(sequence)) == COUNT
+
+
+def test_poses_in_millimetres_are_named(plain):
+    for i in range(COUNT):
+        T = pose(i)
+        T[:3, 3] *= 1000
+        save_text(plain / f"pose/frame-{i}.txt", T)
+    assert_refused(plain, "are the poses in millimetres?")
+
+
+def test_one_lost_camera_does_not_spoil_the_rest(plain):
+    save_text(plain / "pose/frame-2.txt", make_T(DOWN, [1e5, 0, 0]))
+    sequence = open_sequence(plain)
+    assert [frame.index for frame in sequence] == [0, 1, 3]
+    assert sequence.skipped == [("frame-2", "camera is over 1,000 m from the others")]
+
+
+def test_a_jump_of_the_camera_is_a_warning(plain):
+    save_text(plain / "pose/frame-3.txt", make_T(DOWN, [20, 0, 1.2]))
+    assert "jumps of the camera over 5 m between frames: 1" in open_sequence(plain).warnings[0]
+
+
+def test_no_valid_pose_at_all(plain):
+    for i in range(COUNT):
+        save_text(plain / f"pose/frame-{i}.txt", np.full((4, 4), -np.inf))
+    assert_refused(plain, "none of its frames can be used", "4 tried", "pose is not finite")
+
+
+def test_every_depth_image_corrupt(plain):
+    for path in (plain / "depth").iterdir():
+        path.write_bytes(path.read_bytes()[:50])
+    assert_refused(plain, "none of its frames can be used", "4 tried")
+
+
+@pytest.mark.parametrize("arguments", [{"stride": 0}, {"max_frames": 0}])
+def test_senseless_stride_or_count(plain, arguments):
+    assert_refused(plain, "must be 1 or more", **arguments)
+
+
+@pytest.mark.parametrize("field", [{"depth_scale": 0}, {"intrinsics": (1, 2)}, {"nonsense": 1}])
+def test_options_are_validated(field):
+    with pytest.raises(ConfigError, match=next(iter(field))):
+        config.from_dict(field, SequenceOptions)
+
+
+def test_intrinsics_flag_is_comma_separated():
+    tyro = pytest.importorskip("tyro")
+    options = tyro.cli(SequenceOptions, args=["--intrinsics", "525,525,319.5,239.5"])
+    assert options.intrinsics == (525, 525, 319.5, 239.5)
+    assert tyro.cli(SequenceOptions, args=[]) == SequenceOptions()
+    with pytest.raises(SystemExit):
+        tyro.cli(SequenceOptions, args=["--intrinsics", "525,525"])
+
+
+# No corruption of any file is worse than a SequenceError or a skipped frame
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("originals")
+    return {kind: write(root / kind, 2) for kind, write in WRITERS.items()}
+
+
+def corrupted(data: bytes, draw: st.DataObject) -> bytes:
+    how = draw.draw(st.sampled_from(["truncate", "garble", "replace", "insert"]))
+    at = draw.draw(st.integers(0, max(0, len(data) - 1)))
+    junk = draw.draw(st.binary(min_size=1, max_size=12) | st.just(b" 1e308 ") | st.just(b"nan"))
+    if how == "truncate":
+        return data[:at]
+    if how == "garble":
+        return data[:at] + junk + data[at + len(junk) :]
+    if how == "insert":
+        return data[:at] + junk + data[at:]
+    return junk
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_no_corruption_crashes_a_reader(kind, originals, tmp_path_factory, data):
+    root = tmp_path_factory.mktemp(kind) / "recording"
+    shutil.copytree(originals[kind], root)
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    victims = data.draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True))
+    for victim in victims:
+        victim.write_bytes(corrupted(victim.read_bytes(), data))
+    try:
+        sequence = open_sequence(root)
+        frames = list(sequence)
+    except SequenceError as error:
+        assert "\n" not in str(error)
+    else:
+        assert 0 < len(frames) <= 2
+        for frame in frames:
+            assert frame.depth_m.shape == (sequence.camera.height, sequence.camera.width)
+            assert np.isfinite(frame.depth_m).all() and frame.depth_m.max() <= 10
+            R = frame.T_world_camera[:3, :3]
+            np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-6)
+            assert np.isfinite(frame.T_world_camera).all()
+    finally:
+        shutil.rmtree(root)
+
+
+# Real recordings
+
+
+@pytest.mark.parametrize(
+    ("name", "intrinsics", "count", "posed"),
+    [
+        ("redkitchen_7scenes", None, 160, True),
+        ("livingroom1_icl_synthetic", (525, 525, 319.5, 239.5), 60, True),
+        ("aims_realsense_floor", (423.8, 423.8, 320, 236.5), 20, False),
+    ],
+)
+def test_real_recordings_open(name, intrinsics, count, posed):
+    if not (SHARED / name).is_dir():
+        pytest.skip(f"recording {name} is not on this machine")
+    sequence = open_sequence(SHARED / name, options=SequenceOptions(intrinsics=intrinsics))
+    assert len(sequence) == count and sequence.has_poses == posed
+    assert len(sequence.warnings) == (not posed)
+    assert (sequence.camera.width, sequence.camera.height) == (320, 240)
+    frame = next(iter(sequence))
+    assert frame.color.shape == (240, 320, 3) and 0 < np.median(frame.depth_m) < 5
