@@ -54,7 +54,7 @@ class PredictedSequence:
     """Everything `track` found in one recording.
 
     complete: False where the run was interrupted. canonical: of each track id (64, 64, 64)
-    float32 in 0..1, the final reconstruction; ids may lack one after an interruption.
+    float32 in 0..1, the final reconstruction; empty when the run was killed before its end.
     class_ids: final class of each track, by vote. mesh_files: PLY of a track, where it has one,
     relative to the result folder.
     """
@@ -263,9 +263,6 @@ def _with_canonical(run: PredictedSequence, path: Path) -> PredictedSequence:
     for track_id, grid in canonical.items():
         if grid.shape != (64, 64, 64):
             raise DataError(f"{path}: track {track_id} has shape {grid.shape}, not (64, 64, 64)")
-    if run.complete and set(run.class_ids) - set(canonical):
-        missing = min(set(run.class_ids) - set(canonical))
-        raise DataError(f"{path}: no reconstruction of track {missing}; run `track` again")
     return replace(run, canonical=canonical)
 
 

@@ -122,8 +122,9 @@ def draw_objects(
         anchor = _label_anchor(corners, camera)
         if anchor is not None:
             labels.append((anchor, label_of(entry), color))
+    taken: list[tuple[float, float, float, float]] = []
     for anchor, text, color in labels:
-        _draw_label(draw, anchor, text, color, font)
+        taken.append(_draw_label(draw, anchor, text, color, font, taken))
 
 
 def _draw_segment(
@@ -162,14 +163,21 @@ def _draw_label(
     text: str,
     color: tuple[int, ...],
     font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
-) -> None:
+    taken: Sequence[tuple[float, float, float, float]],
+) -> tuple[float, float, float, float]:
+    """Draw above the anchor, further down where labels are already; returns its rectangle."""
     left, top, right, bottom = draw.textbbox((0, 0), text, font=font)
     width, height = right - left + 8, bottom - top + 6
     canvas_width, canvas_height = draw.im.size
     x = min(max(anchor[0] - width / 2, 0), canvas_width - width)
-    y = min(max(anchor[1] - height, 0), canvas_height - height)
+    y = max(anchor[1] - height, 0)
+    for other in sorted(taken, key=lambda box: box[1]):
+        if x < other[2] and other[0] < x + width and y < other[3] and other[1] < y + height:
+            y = other[3] + 1
+    y = min(y, canvas_height - height)
     draw.rounded_rectangle((x, y, x + width, y + height), radius=3, fill=color)
     draw.text((x + 4 - left, y + 3 - top), text, fill="white", font=font)
+    return x, y, x + width, y + height
 
 
 def overlay_meshes(

@@ -77,7 +77,16 @@ def top_view(run: PredictedSequence, width: int = 900) -> Image.Image:
         draw.line(at(view.fronts[track_id]), fill=color, width=3)
         _draw_path(draw, at(path), color, 2)
         text = f"{track_id} {CLASS_NAMES[run.class_ids[track_id]]}"
-        draw.text(at(path[-1])[0], text, fill=color, font=font, anchor="mb", stroke_width=0)
+        x, y = at(path[-1])[0]
+        draw.text(
+            (x, y - 6),
+            text,
+            fill=color,
+            font=font,
+            anchor="mb",
+            stroke_width=3,
+            stroke_fill="white",
+        )
     return image
 
 

@@ -109,8 +109,9 @@ class RerunReplay:
             self._stream.reset_time()
             self._stream.set_time("frame", sequence=self._first[track_id])
             self._stream.log(f"world/tracks/{track_id}/mesh", shape)
-            self._stream.set_time("frame", sequence=self._last[track_id] + 1)
-            self._stream.log(f"world/tracks/{track_id}/mesh", rr.Clear(recursive=False))
+            if self._last[track_id] < max(self._last.values()):
+                self._stream.set_time("frame", sequence=self._last[track_id] + 1)
+                self._stream.log(f"world/tracks/{track_id}/mesh", rr.Clear(recursive=False))
         self.close()
 
     def close(self) -> None:

@@ -1,0 +1,258 @@
+"""The folder that `track` writes. docs/output.md describes every file in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import trimesh
+
+from composenet import config as configuration
+from composenet.config import Config
+from composenet.errors import DataError
+from composenet.predictions import (
+    CANONICAL,
+    TEXT_HEADER,
+    TRACKS_JSON,
+    TRACKS_TXT,
+    FrameRecord,
+    PredictedSequence,
+    read_predictions,
+    sequence_to_json,
+    text_line,
+)
+from composenet.records import Camera, Frame, Track, TrackedObject, TrackState
+from composenet.timings import summarise_timings
+from composenet.view.figures import ColoredMesh, overlay, track_color
+from composenet.view.meshes import canonical_mesh, last_observed, place, save_mesh, write_atomic
+from composenet.view.replay import NoReplay, open_replay
+from composenet.view.report import Picture, write_report
+
+__all__ = ["OutputWriter", "read_predictions"]
+
+CONFIG, TIMINGS, REPORT, REPLAY = "config.json", "timings.json", "report.html", "replay.rrd"
+TIMINGS_SCHEMA = "composenet.timings/1"
+MAX_PICTURES = 12
+
+
+class OutputWriter:
+    """Writes one result folder while frames come in.
+
+    Every `save_every` frames, and when left by an exception or ctrl-C, tracks.json, tracks.txt
+    and timings.json are written with what is done (meta.complete is false); `finish` adds
+    meshes, reconstructions and the report. Files appear whole or not at all; those of an
+    earlier run in the same folder are removed first.
+
+    commit, weights_id: noted in tracks.json. replay: write replay.rrd where rerun is installed.
+    Raises DataError when the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        out_dir: Path,
+        sequence_name: str,
+        camera: Camera,
+        config: Config,
+        *,
+        commit: str = "",
+        weights_id: str = "",
+        save_every: int = 50,
+        replay: bool = True,
+    ) -> None:
+        self.out_dir = Path(out_dir)
+        self.save_every = save_every
+        self._run = PredictedSequence(
+            sequence_name, camera, (), {}, commit=commit, weights_id=weights_id, complete=False
+        )
+        self._frames: list[FrameRecord] = []
+        self._timings: list[dict[str, float]] = []
+        self._class_ids: dict[int, int] = {}
+        self._warnings: list[str] = []
+        self._keepsakes = _Keepsakes()
+        self._finished = False
+        try:
+            self._clear()
+            configuration.dump(config, self.out_dir / CONFIG)
+        except OSError as error:
+            raise DataError(
+                f"{self.out_dir}: cannot write the result here ({error.strerror}); "
+                "give another --out folder"
+            ) from None
+        path = self.out_dir / REPLAY
+        self._replay = open_replay(path, sequence_name) if replay else NoReplay()
+        if self._replay.hint:
+            self.warn(self._replay.hint)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._finished:
+            self.save()
+            self._replay.close()
+
+    def warn(self, text: str) -> None:
+        """Add one line to the warnings of the report and of tracks.json."""
+        if text not in self._warnings:
+            self._warnings.append(text)
+
+    def add_frame(
+        self, frame: Frame, tracked: Sequence[TrackedObject], timings_ms: Mapping[str, float]
+    ) -> None:
+        """Take one tracked frame. timings_ms: milliseconds by stage, stages apart (no sums)."""
+        self._frames.append(
+            FrameRecord(
+                index=frame.index,
+                name=frame.name,
+                timestamp_s=frame.timestamp_s,
+                T_world_camera=np.array(frame.T_world_camera, dtype=np.float64),
+                objects=tuple(tracked),
+            )
+        )
+        self._timings.append(dict(timings_ms))
+        self._class_ids.update({entry.track_id: entry.class_id for entry in tracked})
+        self._keepsakes.offer(len(self._frames) - 1, frame)
+        self._replay.add_frame(frame, tracked)
+        if len(self._frames) % self.save_every == 0:
+            self.save()
+
+    def save(self) -> None:
+        """Write tracks.json, tracks.txt and timings.json with what is done so far."""
+        self._save(self._snapshot())
+
+    def finish(self, tracks: Sequence[Track], *, complete: bool = True) -> PredictedSequence:
+        """Write everything. complete: False after an interruption.
+
+        tracks: all of them, ended ones too, with whole histories. These replace what add_frame
+        was given, so that an offline pass over the sequence is what ends up in the files.
+        """
+        canonical = {track.track_id: track.canonical for track in tracks if track.history}
+        meshes = {
+            track_id: mesh
+            for track_id, grid in canonical.items()
+            if (mesh := canonical_mesh(grid)) is not None
+        }
+        self._class_ids = {track.track_id: track.class_id for track in tracks if track.history}
+        self._frames = _frames_of(self._frames, tracks)
+        run = dataclasses.replace(self._snapshot(), canonical=canonical, complete=complete)
+        placed = self._save_meshes(run, meshes)
+        files = {track_id: f"meshes/track_{track_id}.ply" for track_id in placed}
+        run = dataclasses.replace(run, mesh_files=files, warnings=tuple(self._warnings))
+        self._save_canonical(canonical)
+        self._save(run)
+        self._replay.finish(meshes)
+        timings = summarise_timings(self._timings)
+        write_report(self.out_dir / REPORT, run, placed, self._pictures(run, meshes), timings)
+        self._finished = True
+        return run
+
+    def _snapshot(self) -> PredictedSequence:
+        return dataclasses.replace(
+            self._run,
+            frames=tuple(self._frames),
+            class_ids=dict(self._class_ids),
+            warnings=tuple(self._warnings),
+        )
+
+    def _save(self, run: PredictedSequence) -> None:
+        lines = [text_line(entry) for frame in run.frames for entry in frame.objects]
+        write_atomic(self.out_dir / TRACKS_TXT, "\n".join([TEXT_HEADER, *lines, ""]).encode())
+        _write_json(self.out_dir / TRACKS_JSON, sequence_to_json(run))
+        stages = summarise_timings(self._timings)
+        table = {s.stage: {"median_ms": s.median_ms, "p95_ms": s.p95_ms, "n": s.n} for s in stages}
+        _write_json(self.out_dir / TIMINGS, {"schema": TIMINGS_SCHEMA, "stages": table})
+
+    def _save_meshes(
+        self, run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]
+    ) -> dict[int, trimesh.Trimesh]:
+        """Write the mesh of each track at its last observed pose; returns them, world frame."""
+        placed = {}
+        for track_id, history in run.histories.items():
+            if track_id not in meshes:
+                self.warn(f"track {track_id} has an empty reconstruction: no mesh")
+                continue
+            mesh = place(meshes[track_id], last_observed(history).S_world_canonical)
+            if not mesh.is_watertight:
+                self.warn(f"mesh of track {track_id} is not watertight")
+            stem = self.out_dir / "meshes" / f"track_{track_id}"
+            save_mesh(mesh, track_color(track_id), stem)
+            placed[track_id] = mesh
+        return placed
+
+    def _save_canonical(self, canonical: Mapping[int, np.ndarray]) -> None:
+        data = io.BytesIO()
+        arrays: dict[str, Any] = {f"track_{i}": np.float32(g) for i, g in canonical.items()}
+        np.savez_compressed(data, **arrays)
+        write_atomic(self.out_dir / CANONICAL, data.getvalue())
+
+    def _pictures(
+        self, run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]
+    ) -> list[Picture]:
+        pictures = []
+        for position, frame in self._keepsakes.chosen(MAX_PICTURES):
+            objects = run.frames[position].objects
+            placed = [
+                ColoredMesh(
+                    place(meshes[entry.track_id], entry.S_world_canonical),
+                    track_color(entry.track_id),
+                )
+                for entry in objects
+                if entry.track_id in meshes and entry.state is not TrackState.ENDED
+            ]
+            pictures.append(Picture(position, overlay(frame, objects, placed)))
+        return pictures
+
+    def _clear(self) -> None:
+        """Make the folder and remove what an earlier run wrote to it."""
+        self.out_dir.mkdir(parents=True, exist_ok=True)
+        names = (TRACKS_JSON, TRACKS_TXT, CANONICAL, CONFIG, TIMINGS, REPORT, REPLAY)
+        old = [self.out_dir / name for name in names]
+        for kind in ("ply", "glb"):
+            old += (self.out_dir / "meshes").glob(f"track_*.{kind}")
+        for path in old:
+            path.unlink(missing_ok=True)
+
+
+class _Keepsakes:
+    """Keeps evenly spaced frames of a stream of unknown length: at most twice MAX_PICTURES."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[int, Frame]] = []
+        self._stride = 1
+
+    def offer(self, position: int, frame: Frame) -> None:
+        if position % self._stride == 0:
+            self._kept.append((position, frame))
+        if len(self._kept) > 2 * MAX_PICTURES:
+            self._kept = self._kept[::2]
+            self._stride *= 2
+
+    def chosen(self, count: int) -> list[tuple[int, Frame]]:
+        if not self._kept:
+            return []
+        places = np.linspace(0, len(self._kept) - 1, min(count, len(self._kept)))
+        return [self._kept[round(place)] for place in places]
+
+
+def _frames_of(frames: Sequence[FrameRecord], tracks: Sequence[Track]) -> list[FrameRecord]:
+    """The frames, with the entries of the tracks' histories, by track id."""
+    entries: dict[int, list[TrackedObject]] = {}
+    for track in sorted(tracks, key=lambda track: track.track_id):
+        for entry in track.history:
+            entries.setdefault(entry.frame_index, []).append(entry)
+    return [dataclasses.replace(f, objects=tuple(entries.get(f.index, ()))) for f in frames]
+
+
+def _write_json(path: Path, data: object) -> None:
+    write_atomic(path, (json.dumps(data, allow_nan=False) + "\n").encode())
