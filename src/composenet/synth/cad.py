@@ -6,6 +6,7 @@ Files hold +Y up, front +Z, metres; they map by `p_object = p_cad[[2, 0, 1]]`.
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -51,15 +52,9 @@ def load_shape(path: Path, class_name: str) -> Shape:
 
     Raises DataError where the file is no mesh, or is not in metres.
     """
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    except Exception as error:  # the readers raise whatever they like
-        raise DataError(f"{path}: not a readable mesh ({error})") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise DataError(f"{path}: expected a triangle mesh, found no faces")
+    mesh = _load_mesh(path)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)[:, [2, 0, 1]]
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
     longest = float((high - low).max())
     if not 0.1 <= longest <= 10.0:
         raise DataError(f"{path}: {longest:.3g} m long; expected furniture in metres")
@@ -74,7 +69,18 @@ def load_shape(path: Path, class_name: str) -> Shape:
         materials=(_material(path),),
         watertight=bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0),
     )
-    return Shape(**{**vars(shape), "symmetry": symmetry_of(shape)})
+    return replace(shape, symmetry=symmetry_of(shape))
+
+
+def _load_mesh(path: Path) -> trimesh.Trimesh:
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # the readers raise whatever they like
+        raise DataError(f"{path}: not a readable mesh ({error})") from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise DataError(f"{path}: expected a triangle mesh, found no faces")
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
 
 
 def symmetry_of(shape: Shape) -> Symmetry:
@@ -92,7 +98,7 @@ def symmetry_of(shape: Shape) -> Symmetry:
 
 def _worst_iou(points: NDArray[np.float64], shape: Shape, turns_deg: list[int]) -> float:
     """Lowest IoU of the occupied cells with themselves, turned about z."""
-    cell = shape.extents_m / _SYMMETRY_CELLS
+    cell = shape.extents_m / float(_SYMMETRY_CELLS)
     whole = np.zeros((_SYMMETRY_CELLS,) * 3, dtype=bool)
     whole[_cells(points, cell)] = True
     worst = 1.0

@@ -117,7 +117,7 @@ class Layout:
             i = int(self.rng.integers(tops.shape[0] - nx))
             j = int(self.rng.integers(tops.shape[1] - ny))
             patch = tops[i : i + nx, j : j + ny]
-            if not patch.max() - patch.min() < 0.01:  # also where nothing is below
+            if not np.isfinite(patch).all() or np.ptp(patch) > 0.01:
                 continue
             dx = (i + nx / 2) * cell[0] - item.shape.extents_m[0] / 2
             dy = (j + ny / 2) * cell[1] - item.shape.extents_m[1] / 2

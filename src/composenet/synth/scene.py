@@ -51,6 +51,9 @@ class SceneOptions:
     cad_share: float = 0.5
 
 
+DEFAULT_OPTIONS = SceneOptions()
+
+
 @dataclass(frozen=True)
 class RenderedFrame:
     """frame: with the sensor's depth. ids: (H, W) uint16, gt_id or 0. clean_depth_m: (H, W)
@@ -79,6 +82,7 @@ class Scene:
     T_world_shape: NDArray[np.float64]
     sensor: Sensor
     light: Light
+    cad_share: float = 0.0
 
     @property
     def n_frames(self) -> int:
@@ -194,7 +198,7 @@ class Scene:
         return {}
 
 
-def generate_scene(split: str, index: int, options: SceneOptions = SceneOptions()) -> Scene:
+def generate_scene(split: str, index: int, options: SceneOptions = DEFAULT_OPTIONS) -> Scene:
     """The sequence number `index` of a split: the same one for everybody.
 
     Raises DataError for an unknown split, a negative index or a folder of meshes that is not
@@ -224,6 +228,7 @@ def generate_scene(split: str, index: int, options: SceneOptions = SceneOptions(
         T_world_shape=T_world_room @ _shape_poses(layout, paths),
         sensor=sample_sensor(rng),
         light=_light(rng, layout, T_world_room),
+        cad_share=0.0 if options.cad_dir is None else options.cad_share,
     )
 
 
