@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from composenet.records import Symmetry
 from composenet.synth.furniture.parts import (
@@ -19,58 +18,16 @@ from composenet.synth.furniture.parts import (
     chance,
     cylinder,
     glass,
-    loft,
     metal,
     oval,
-    ring,
-    rod,
+    revolve,
     rounded_box,
     stone,
     tube,
     wood,
 )
-from composenet.synth.shape import Material, Shape, ShapeBuilder
-
-Outline = NDArray[np.float64]
-
-
-def basin(sections: Sequence[tuple[Outline, float | NDArray[np.float64]]]) -> Solid:
-    """A hollow vessel as one skin: outlines (K, 2) with their heights (a number or (K,)), up the
-    outside, over the rim and down the inside."""
-    rings = [
-        np.column_stack([outline, np.broadcast_to(height, len(outline))])
-        for outline, height in sections
-    ]
-    return loft(np.stack(rings))
-
-
-def add_tap(
-    builder: ShapeBuilder,
-    rng: Rng,
-    foot: tuple[float, float, float],
-    towards: tuple[float, float],
-    height: float,
-    reach: float,
-    material: Material,
-) -> None:
-    """A tap standing on `foot` with its spout turned to the direction `towards` (x, y)."""
-    at, way = np.array(foot), np.array([*towards, 0.0]) / np.hypot(*towards)
-    up = np.array([0.0, 0.0, 1.0])
-    top = at + height * up
-    if chance(rng, 0.5):  # an arched spout
-        bow = [at, top - 0.3 * reach * up, top + 0.15 * reach * way, top + 0.75 * reach * way]
-        bow.append(top + reach * way - 0.35 * min(height, reach) * up)
-    else:
-        bow = [at, top, top + reach * way - 0.1 * reach * up]
-    builder.add(tube(bow, float(rng.uniform(0.01, 0.016)), 8), material)
-    across = np.array([-way[1], way[0], 0.0])
-    if chance(rng, 0.5):  # two handles
-        for side in (-0.09, 0.09):
-            base = at + side * across
-            builder.add(rod(base, base + 0.05 * up, 0.016, 0.02, 8), material)
-    else:
-        lever = at + 0.6 * height * up
-        builder.add(rod(lever, lever + 0.07 * across + 0.02 * up, 0.009, 0.006, 8), material)
+from composenet.synth.furniture.sanitary import Outline, add_tap, basin
+from composenet.synth.shape import Shape, ShapeBuilder
 
 
 def _oval_tub(
@@ -140,7 +97,12 @@ def clawfoot(rng: Rng) -> Shape:
         for y in (-0.3 * length, 0.3 * length):
             out = np.array([np.sign(x) * 0.05, np.sign(y) * 0.03, 0])
             hip = np.array([x, y, lift + 0.1]) + out
-            claw = [hip - out, np.subtract(hip, (0, 0, 0.04)), (x * 1.12, y, lift * 0.4), (x * 1.25, y, 0.02)]
+            claw = [
+                hip - out,
+                np.subtract(hip, (0, 0, 0.04)),
+                (x * 1.12, y, lift * 0.4),
+                (x * 1.25, y, 0.02),
+            ]
             builder.add(tube(np.array(claw, dtype=float), 0.025, 6), fittings)
     if chance(rng, 0.7):
         end, rim = length / 2 + 0.02, lift + height
@@ -242,14 +204,9 @@ def back_to_wall(rng: Rng) -> Shape:
     height, wall = float(rng.uniform(0.5, 0.62)), float(rng.uniform(0.03, 0.07))
     outer = oval(2 * width, length, float(rng.uniform(2.2, 3.5)), 40)
     outer = np.where(outer[:, :1] < 0, outer * (0.0, 1.0), outer) - (width / 2, 0)
-    centre = np.array([0.02, 0.0])
-    inner = oval(width - 2 * wall, length - 2.5 * wall, 2.6, 40)
-    angle = np.arctan2(*(outer - centre).T[::-1])
-    order = np.argsort(angle)
-    outer, inner = outer[order], inner[np.argsort(np.arctan2(*inner.T[::-1]))]
+    inner = outer * (1 - 2 * wall / width, 1 - 2.5 * wall / length)
     slope = float(rng.uniform(0.7, 0.92))
-    narrow = centre + (outer - centre) * (0.97, slope)
-    rings = [(narrow, 0.0), (outer, height), (inner, height), (inner * slope, 0.1)]
+    rings = [(outer * (0.97, slope), 0.0), (outer, height), (inner, height), (inner * slope, 0.1)]
     builder.add(basin(rings), body)
     if chance(rng, 0.5):
         foot = (wall / 2 - width / 2, 0.0, height)
@@ -269,8 +226,14 @@ def soaking(rng: Rng) -> Shape:
     if chance(rng, 0.6):
         band = metal(rng)
         for share in (0.25, 0.75):
-            outside = radius * (taper + (1 - taper) * share)
-            builder.add(ring(outside, 0.012, (0, 0, share * height), 36), band)
+            r, z = radius * (taper + (1 - taper) * share), share * height
+            profile = [
+                (r - wall / 2, z),
+                (r + 0.008, z),
+                (r + 0.008, z + 0.03),
+                (r - wall / 2, z + 0.03),
+            ]
+            builder.add(revolve(profile, 36), band)
     steps = chance(rng, 0.3)
     if steps:
         x = radius + 0.14

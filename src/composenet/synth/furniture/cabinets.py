@@ -102,8 +102,9 @@ def wall_unit(rng: Rng) -> Shape:
     if chance(rng, 0.25):
         look = replace(look, front="glass")
     cells = []
-    for y0, y1 in _pairs(splits(rng, -width / 2, width / 2, max(1, round(width / 0.6)))):
-        if chance(rng, 0.15):
+    columns = max(1, round(width / 0.6))
+    for y0, y1 in _pairs(splits(rng, -width / 2, width / 2, columns)):
+        if columns > 1 and chance(rng, 0.15):
             cells.append(Cell(y0, y1, 0.0, height, "open", shelves=int(rng.integers(1, 3))))
         else:
             cells.append(_door(rng, y0, y1, 0.0, height, 2))
