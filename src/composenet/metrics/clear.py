@@ -4,11 +4,12 @@ The two reference implementations disagree in places; `Convention` names whose r
 
 | | TRACKEVAL (the benchmark's) | MOTMETRICS |
 | --- | --- | --- |
-| correspondence kept | that of the previous frame | the last one, however old |
+| correspondence kept | that of the previous frame | the last one, however old (*) |
 | the rest is assigned by | largest total similarity | most matches, then least distance |
 | fragmentation | tracked again after a frame untracked or absent | ... after a miss |
 | mostly tracked | over 80 % of its frames | at least 80 % |
 
+(*) Where several objects last had one track, the first in the frame's order keeps it.
 As in TrackEval, "the previous frame" is the last one that had both truth and tracks.
 """
 
