@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from composenet.geometry.symmetry import turns
 from composenet.records import FloatArray, Symmetry
-
-_TURNS = {Symmetry.NONE: 1, Symmetry.TWO: 2, Symmetry.FOUR: 4, Symmetry.INF: 36}
 
 
 def make_T(R: ArrayLike, t: ArrayLike) -> NDArray[np.float64]:
@@ -60,12 +59,6 @@ def angle_between_deg(R_a: FloatArray, R_b: FloatArray) -> float:
     return float(np.degrees(Rotation.from_matrix(R_a.T @ R_b).magnitude()))
 
 
-def symmetry_rotations(symmetry: Symmetry) -> NDArray[np.float64]:
-    """(k, 3, 3) turns about the object's +Z that leave it unchanged; k = 1, 2, 4 or 36."""
-    count = _TURNS[symmetry]
-    return np.stack([rotation_z(2 * np.pi * step / count) for step in range(count)])
-
-
 def rotation_error_deg(
     R_a: FloatArray, R_b: FloatArray, symmetry: Symmetry = Symmetry.NONE
 ) -> float:
@@ -74,7 +67,7 @@ def rotation_error_deg(
     Both are `R_world_object`. A continuous symmetry is tested in 36 steps of 10 degrees
     (Scan2CAD), so its error about the axis is at most 5 degrees.
     """
-    return min(angle_between_deg(R_a, R_b @ turn) for turn in symmetry_rotations(symmetry))
+    return min(angle_between_deg(R_a, R_b @ turn) for turn in turns(symmetry))
 
 
 def quaternion_from_rotation(R: FloatArray) -> NDArray[np.float64]:
