@@ -243,9 +243,10 @@ def stretchers(feet: Corners, tops: Corners, rng: Rng, round_bars: bool) -> list
     if kind == 1:
         return sides
     if kind == 2:
-        middle = [(feet[i] + feet[j]) / 2 * (1 - low) + (tops[i] + tops[j]) / 2 * low
-                  for i, j in ((0, 3), (1, 2))]  # fmt: skip
-        return [*sides, rod(*middle, size / 2) if round_bars else bar(*middle, size * 0.8, size)]
+        at = feet + low * (tops - feet)
+        left, right = (at[0] + at[3]) / 2, (at[1] + at[2]) / 2
+        cross = rod(left, right, size / 2) if round_bars else bar(left, right, size * 0.8, size)
+        return [*sides, cross]
     if kind == 3:
         return [*sides, bar_at(high, 0, 1), bar_at(high, 3, 2)]
     return [bar_at(low, 0, 2), bar_at(low, 1, 3)]

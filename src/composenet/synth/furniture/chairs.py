@@ -54,8 +54,8 @@ def _wood_arms(plan: Plan, rng: Rng) -> list[Solid]:
     solids = []
     for side in (y, -y):
         back = plan.at(plan.width / 2, lift)[0]
-        rest = [(back, side, plan.height + lift), (front + 0.03, side, plan.height + lift)]
-        solids.append(bar(*rest, wide, thick))
+        z = plan.height + lift
+        solids.append(bar((back, side, z), (front + 0.03, side, z), wide, thick))
         solids.append(
             post([(front, side, plan.height - 0.05), (front, side, plan.height + lift)], 0.028)
         )

@@ -69,9 +69,12 @@ def soft_slab(outline: ArrayLike, base_z: float, thickness: float, edge: float) 
     return loft(np.stack(rings))
 
 
-def bent_path(corners: Sequence[ArrayLike], radius: float, steps: int = 3) -> NDArray[np.float64]:
-    """A polyline (P, 3) through corners, each inner one replaced by a curve that leaves and
-    joins the straight runs `radius` away from it (less where runs are short): bent tubes."""
+def bent_path(corners: Sequence[object], radius: float, steps: int = 3) -> NDArray[np.float64]:
+    """A polyline (P, 3) for bent tubes through corners, (3,) each.
+
+    Inner corners are replaced by curves that leave and join the straight runs `radius` away
+    (less where runs are short).
+    """
     points = [np.asarray(corner, dtype=float) for corner in corners]
     path = [points[0]]
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from composenet.records import Symmetry
 from composenet.synth.furniture import chair_parts as cp
+from composenet.synth.furniture.couches import draw_couch, upholster, wooden_couch
 from composenet.synth.furniture.curves import bent_path, plate, post, soft_slab
 from composenet.synth.furniture.parts import (
     Rng,
@@ -25,7 +27,6 @@ from composenet.synth.furniture.parts import (
     tube,
     wood,
 )
-from composenet.synth.furniture.sofas import draw_couch, upholster, wooden_couch
 from composenet.synth.shape import Shape, ShapeBuilder
 
 
@@ -122,8 +123,11 @@ def _parsons(rng: Rng) -> Shape:
     builder.add(cp.pad(inner, -thick * 0.6, plan.back, padding, crown), cover)
     if chance(rng, 0.2):
         for y in (-plan.width / 2, plan.width / 2):
-            path = [(plan.depth * 0.3, y, plan.height - 0.05), (plan.depth * 0.3, y, plan.height + 0.2),
-                    (-plan.depth / 2, y, plan.height + 0.22)]  # fmt: skip
+            path = [
+                (plan.depth * 0.3, y, plan.height - 0.05),
+                (plan.depth * 0.3, y, plan.height + 0.2),
+                (-plan.depth / 2, y, plan.height + 0.22),
+            ]
             builder.add(tube(bent_path(path, 0.06), 0.022), cover)
     return builder.build("chair", "parsons", Symmetry.NONE)
 
@@ -153,7 +157,7 @@ def _folding(rng: Rng) -> Shape:
         builder.add(strut((spot[0], -width / 2, spot[1]), (spot[0], width / 2, spot[1])), frame)
     slats = int(rng.choice([1, 1, 5, 7]))
     edges = np.linspace(seat_back, seat_front, slats + 1)
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         wide = (b - a) * (1.0 if slats == 1 else 0.75)
         builder.add(box((wide, width - 3 * size, 0.016), ((a + b) / 2, 0, height)), cover)
     low = rng.uniform(0.62, 0.7) * top / 0.8
@@ -161,9 +165,9 @@ def _folding(rng: Rng) -> Shape:
     for i in range(boards):
         z = np.array([i + 0.0, i + 0.8]) / boards * (top - low) + low
         x = front + (crest - front) * (z - size / 2) / (top - size / 2)
-        y = np.linspace(-1, 1, 5)[:, None] * width / 2
+        u = np.linspace(-1, 1, 5)[:, None]
         grid = np.stack(
-            np.broadcast_arrays(x[None] - 0.03 * (1 - (2 * y / width) ** 2), y, z[None]), -1
+            np.broadcast_arrays(x[None] - 0.03 * (1 - u**2), u * width / 2, z[None]), -1
         )
         builder.add(plate(grid, 0.012), cover)
     return builder.build("chair", "folding", Symmetry.NONE)
@@ -186,8 +190,10 @@ def _director(rng: Rng) -> Shape:
         builder.add(box((deep + 0.06, size, size), (0, side, height)), frame)
     sag = rng.uniform(0.01, 0.05)
     across = np.linspace(-1, 1, 7)[:, None]
-    fore, up = np.array([[x, -x]]), np.linspace(rng.uniform(0.6, 0.7) * top, top - 0.02, 2)[None]
-    seat = np.stack(np.broadcast_arrays(fore, across * y, height - sag * (1 - across**2)), -1)
+    up = np.linspace(rng.uniform(0.6, 0.7) * top, top - 0.02, 2)[None]
+    seat = np.stack(
+        np.broadcast_arrays(np.array([[x, -x]]), across * y, height - sag * (1 - across**2)), -1
+    )
     back = np.stack(np.broadcast_arrays(-x - 0.02 - sag * (1 - across**2), across * y, up), -1)
     builder.add(plate(seat, 0.008), cloth)
     builder.add(plate(back, 0.008), cloth)
@@ -206,10 +212,10 @@ def _sling(rng: Rng) -> Shape:
     u = np.linspace(-1, 1, 5)[:, None, None]
     cushion = sweep[None] + u * (0, y * 0.96, 0)
     builder.add(plate(cushion, rng.choice([0.02, 0.05, 0.09])), cover)
-    under, lift = np.array([0, 0, 0.03]), rng.uniform(0.14, 0.22)
+    lift = rng.uniform(0.14, 0.22)
     arms, radius = chance(rng, 0.7), rng.uniform(0.011, 0.018)
     for side in (y, -y):
-        builder.add(tube(sweep + (0, side, 0) - under, radius), frame)
+        builder.add(tube(sweep + np.array([0, side, -0.03]), radius), frame)
         top = plan.height + lift if arms else plan.height - 0.03
         loop = [(rear, side, top - 0.04), (front, side, top), (front + 0.03, side, radius),
                 (rear - 0.05, side, radius)]  # fmt: skip
@@ -236,8 +242,11 @@ def _ball_lounge(rng: Rng) -> Shape:
     builder.add(cp.rail(behind, -0.02, back * 0.95, 0.015), shell)
     builder.add(cp.seat(replace(plan, height=plan.height - 0.06), rng, 0.04, 0.015), shell)
     for y in (-plan.width / 2 - 0.03, plan.width / 2 + 0.03):
-        path = [(plan.depth * 0.3, y, plan.height - 0.08), (plan.depth * 0.3, y, plan.height + 0.16),
-                (-plan.depth / 2, y, plan.height + 0.18)]  # fmt: skip
+        path = [
+            (plan.depth * 0.3, y, plan.height - 0.08),
+            (plan.depth * 0.3, y, plan.height + 0.16),
+            (-plan.depth / 2, y, plan.height + 0.18),
+        ]
         builder.add(tube(bent_path(path, 0.08), rng.uniform(0.02, 0.035)), cover)
     cp.add_all(builder, cp.star_base(rng, plan.height - 0.09, int(rng.integers(4, 6)), False),
                metal(rng))  # fmt: skip

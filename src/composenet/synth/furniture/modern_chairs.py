@@ -47,7 +47,7 @@ def _shell_surface(plan: Plan, rng: Rng, arms: bool) -> np.ndarray:
     tangent = np.gradient(profile, axis=0)
     normal = np.cross((0.0, 1.0, 0.0), tangent)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    grid = profile[None] + lift[..., None] * (normal + (0, 0, 0.4 if arms else 0))
+    grid = profile[None] + lift[..., None] * (normal + np.array([0, 0, 0.4 if arms else 0.0]))
     grid[..., 1] = y
     return grid
 
@@ -146,9 +146,16 @@ def _office_arms(plan: Plan, rng: Rng) -> list[Solid]:
 def _office(rng: Rng) -> Shape:
     """Swivel chair: star base with casters, gas column, most often arms."""
     builder, plan, dark = ShapeBuilder(), cp.draw_plan(rng), plastic(rng)
-    plan = replace(plan, width=rng.uniform(0.44, 0.54), depth=rng.uniform(0.42, 0.52),
-                   back=rng.uniform(0.38, 0.74), bow=rng.uniform(0, 0.05), rake=rng.uniform(0.05, 0.2),
-                   wrap=rng.uniform(0, 0.07), height=rng.uniform(0.42, 0.55))  # fmt: skip
+    plan = replace(
+        plan,
+        width=rng.uniform(0.44, 0.54),
+        depth=rng.uniform(0.42, 0.52),
+        back=rng.uniform(0.38, 0.74),
+        bow=rng.uniform(0, 0.05),
+        rake=rng.uniform(0.05, 0.2),
+        wrap=rng.uniform(0, 0.07),
+        height=rng.uniform(0.42, 0.55),
+    )
     cover, thick = cp.cover_of(rng), rng.uniform(0.04, 0.10)
     cp.add_all(
         builder, cp.star_base(rng, plan.height - thick), metal(rng) if chance(rng, 0.5) else dark
