@@ -90,8 +90,16 @@ def write_results(path: Path, info: RunInfo, variants: Mapping[str, DatasetScore
 def sections(variants: Mapping[str, DatasetScores]) -> list[Section]:
     """The benchmark's tables: one row a variant."""
     items = list(variants.items())
+    tables = (
+        (
+            "tracking, %: MOTA by class, mean over sequences with its 95 % interval, pooled",
+            _tracking,
+        ),
+        ("tracking events, pooled", _events),
+        ("detection, completion and pose of single frames", _objects),
+    )
     result = []
-    for title, cells in (("tracking", _tracking), ("events", _events), ("objects", _objects)):
+    for title, cells in tables:
         rows = [cells(scores) for _, scores in items]
         result.append(
             Section(
@@ -172,11 +180,11 @@ def _tracking(scores: DatasetScores) -> dict[str, str]:
     low, high = scores.mota_interval
     per_class = zip(CLASS_NAMES, scores.clear_per_class, strict=True)
     return {
-        **{f"{name} MOTA %": _share(clear.mota) for name, clear in per_class},
-        "seq. mean MOTA %": f"{_share(scores.mota_mean)} [{_share(low)}, {_share(high)}]",
-        "pooled MOTA %": _share(scores.clear.mota),
-        "IDF1 %": _share(scores.identity.idf1),
-        "HOTA %": _share(scores.hota.hota),
+        **{name: _share(clear.mota) for name, clear in per_class},
+        "seq. mean": f"{_share(scores.mota_mean)} [{_share(low)}, {_share(high)}]",
+        "pooled": _share(scores.clear.mota),
+        "IDF1": _share(scores.identity.idf1),
+        "HOTA": _share(scores.hota.hota),
         "IDSW": str(scores.clear.id_switches),
         "s / frame": _text(scores.seconds_median, 3),
     }
