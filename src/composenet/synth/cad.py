@@ -107,7 +107,7 @@ def _worst_iou(points: NDArray[np.float64], shape: Shape, turns_deg: list[int]) 
         # Look up where each cell comes from, so that turning leaves no gaps.
         turned = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         inside = (np.abs(turned) < shape.extents_m / 2).all(axis=1)
-        shared = np.count_nonzero(whole[_cells(turned[inside], cell)])
+        shared = int(np.count_nonzero(whole[_cells(turned[inside], cell)]))
         worst = min(worst, shared / max(2 * len(points) - shared, 1))
     return worst
 
