@@ -150,7 +150,7 @@ def _scene(run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]) -> str
         x, y, z = small.vertices.T.astype(np.float32)
         i, j, k = small.faces.T.astype(np.uint32)
         name = f"{track_id} {CLASS_NAMES[run.class_ids[track_id]]}"
-        light = {"ambient": 0.55, "diffuse": 0.6, "specular": 0.1, "roughness": 0.9}
+        light = {"ambient": 0.72, "diffuse": 0.5, "specular": 0.05, "roughness": 0.9}
         figure.add_trace(
             go.Mesh3d(
                 x=x, y=y, z=z, i=i, j=j, k=k, color=track_hex(track_id), flatshading=True,
@@ -162,11 +162,11 @@ def _scene(run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]) -> str
     figure.update_layout(
         scene={
             "aspectmode": "data",
-            "camera": {"eye": {"x": -1.1, "y": -1.1, "z": 0.9}},
+            "camera": {"eye": {"x": -1.0, "y": -0.75, "z": 0.8}, "center": {"z": -0.15}},
             **{key: {**axis, "title": {"text": text}} for key, text in names.items()},
         },
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
-        legend={"itemsizing": "constant"},
+        legend={"itemsizing": "constant", "x": 0, "y": 1, "bgcolor": "rgba(255,255,255,0.7)"},
         paper_bgcolor="rgba(0,0,0,0)",
     )
     html = figure.to_html(
@@ -174,7 +174,7 @@ def _scene(run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]) -> str
         include_plotlyjs="inline",
         default_height="540px",
         div_id="scene",
-        config={"displaylogo": False, "responsive": True},
+        config={"displayModeBar": False, "responsive": True},
     )
     return (
         "<section><h2>Completed furniture</h2>"

@@ -14,6 +14,8 @@ from composenet.view.plots import TopView, state_segments
 TIMELINE_WIDTH = 1180
 _LEFT, _ROW, _TOP = 130, 24, 26
 _MARGIN_RIGHT = 14
+MIN_PATH_M = 0.3
+"""shorter paths are jitter about one place"""
 _SHAPES: dict[TrackState, tuple[float, float]] = {  # top and height as shares of a row
     TrackState.TRACKED: (0.15, 0.70),
     TrackState.RE_FOUND: (0.05, 0.90),
@@ -143,6 +145,7 @@ class TopViewDrawing:
             f'fill-opacity="0.12" stroke="{color}" stroke-width="1.6"/>'
             + self._polyline(view.fronts[track_id], color, "3", f"front of {name}")
             + self._polyline(view.paths[track_id], color, "1.6", f"path of {name}")
+            + self._start(view.paths[track_id], color)
             + f'<text x="{x:.1f}" y="{y - 7:.1f}" font-size="12.5" text-anchor="middle" '
             f'fill="{color}" stroke="#fff" stroke-width="3" paint-order="stroke" '
             f'font-weight="600">{escape(name)}</text></g>'
@@ -152,12 +155,18 @@ class TopViewDrawing:
         if len(points) == 0:
             return ""
         text = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.at(points))
-        x, y = self.at(points[0])
-        start = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.6" fill="#fff" stroke="{color}"/>'
         return (
             f'<polyline points="{text}" fill="none" stroke="{color}" stroke-width="{width}" '
-            f'stroke-linejoin="round"><title>{escape(title)}</title></polyline>{start}'
+            f'stroke-linejoin="round"><title>{escape(title)}</title></polyline>'
         )
+
+    def _start(self, points: FloatArray, color: str) -> str:
+        """A ring where a path begins, if it leads anywhere."""
+        reach = np.linalg.norm(np.asarray(points) - points[0], axis=1).max()
+        if reach < MIN_PATH_M:
+            return ""
+        x, y = self.at(points[0])
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.2" fill="#fff" stroke="{color}"/>'
 
     def _grid(self) -> str:
         low, high, parts = self._view.low, self._view.high, []

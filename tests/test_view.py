@@ -1,0 +1,258 @@
+"""Meshes, pictures, replay: right size, right place, closed."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from composenet.geometry.transform import make_T, rotation_z
+from composenet.predictions import FrameRecord, PredictedSequence
+from composenet.records import (
+    Box,
+    Camera,
+    Frame,
+    Similarity,
+    Track,
+    TrackedObject,
+    TrackState,
+)
+from composenet.view import figures, meshes, plots, replay
+
+CAMERA = Camera(K=np.array([[60.0, 0, 39.5], [0, 60.0, 29.5], [0, 0, 1]]), width=80, height=60)
+# camera at the world's origin, 1 m up, looking along +x
+LOOK_X = make_T(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.0, 0, 1]))
+
+
+def centres() -> np.ndarray:
+    """(64, 64, 64, 3) canonical cell centres."""
+    axis = (np.arange(64) + 0.5) / 64 - 0.5
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+
+
+def box_grid(extents_m: np.ndarray) -> np.ndarray:
+    """Canonical reconstruction of a full box: (64, 64, 64) float32."""
+    half = extents_m / np.linalg.norm(extents_m) / 2
+    return (np.abs(centres()) <= half).all(axis=-1).astype(np.float32)
+
+
+def make_object(
+    track_id: int = 1,
+    frame_index: int = 0,
+    state: TrackState = TrackState.TRACKED,
+    center: tuple[float, float, float] = (3.0, 0.0, 1.0),
+    yaw: float = 0.3,
+    extents: tuple[float, float, float] = (0.6, 1.2, 0.8),
+) -> TrackedObject:
+    R, extents_m, t = rotation_z(yaw), np.array(extents), np.array(center)
+    return TrackedObject(
+        track_id=track_id,
+        frame_index=frame_index,
+        class_id=track_id % 10,
+        state=state,
+        confidence=0.8,
+        box=Box(t, np.abs(R) @ extents_m),
+        S_world_canonical=Similarity(float(np.linalg.norm(extents_m)), R, t),
+        extents_m=extents_m,
+        observed=state in (TrackState.TRACKED, TrackState.RE_FOUND),
+    )
+
+
+def make_frame(index: int = 0, depth: float = 5.0, color: bool = True) -> Frame:
+    image = np.full((60, 80, 3), 90, dtype=np.uint8) if color else None
+    depth_m = np.full((60, 80), depth, dtype=np.float32)
+    return Frame(index, depth_m, CAMERA, LOOK_X, image, timestamp_s=index / 30, name=f"{index:06d}")
+
+
+def test_mesh_is_closed_metric_and_in_place() -> None:
+    entry = make_object()
+    gone = make_object(frame_index=1, state=TrackState.OCCLUDED, center=(9.0, 9.0, 9.0))
+    track = Track(1, 1, (entry, gone), box_grid(entry.extents_m))
+    mesh = meshes.track_mesh(track)
+    assert mesh is not None and mesh.is_watertight and mesh.volume > 0
+    cell_m = entry.S_world_canonical.scale_m / 64
+    in_object = (mesh.vertices - entry.S_world_canonical.t) @ entry.S_world_canonical.R
+    np.testing.assert_allclose(np.ptp(in_object, axis=0), entry.extents_m, atol=cell_m)
+    np.testing.assert_allclose(mesh.bounds.mean(axis=0), entry.box.center, atol=cell_m / 2)
+
+
+def test_sphere_volume_and_outward_normals() -> None:
+    distance = np.linalg.norm(centres(), axis=-1)
+    mesh = meshes.canonical_mesh(np.clip(0.5 + (0.3 - distance) * 32, 0, 1).astype(np.float32))
+    assert mesh is not None and mesh.is_watertight
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.3**3, rel=0.01)
+    assert ((mesh.face_normals * mesh.triangles_center).sum(axis=1) > 0).all()
+
+
+def test_full_grid_is_closed_at_its_edge() -> None:
+    mesh = meshes.canonical_mesh(np.ones((64, 64, 64), dtype=np.float32))
+    assert mesh is not None and mesh.is_watertight
+    np.testing.assert_allclose(mesh.extents, 1.0, atol=1 / 64)
+
+
+def test_small_pieces_are_dropped_and_empty_is_none() -> None:
+    grid = np.zeros((64, 64, 64), dtype=np.float32)
+    assert meshes.canonical_mesh(grid) is None
+    grid[10:30, 10:30, 10:30] = 1
+    grid[50:60, 50:60, 50:60] = 1  # an eighth of the volume: kept
+    grid[40:42, 5:7, 5:7] = 1  # a thousandth: dropped
+    mesh = meshes.canonical_mesh(grid)
+    assert mesh is not None and len(mesh.split(only_watertight=True)) == 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), share=st.floats(0.05, 0.9))
+def test_any_grid_gives_a_closed_mesh(seed: int, share: float) -> None:
+    grid = np.random.default_rng(seed).random((12, 12, 12)) ** (1 / (share + 0.1))
+    binary = (grid > 0.6).astype(np.float32)
+    for values in (grid, binary):
+        mesh = meshes.canonical_mesh(values)
+        assert mesh is None or mesh.is_watertight
+
+
+def test_simplified_stays_closed_and_close() -> None:
+    mesh = meshes.canonical_mesh(box_grid(np.array([0.6, 1.2, 0.8])))
+    assert mesh is not None
+    small = meshes.simplified(mesh, 0.3 / 64)
+    assert small.is_watertight and len(small.faces) < len(mesh.faces) / 20
+    assert small.volume == pytest.approx(mesh.volume, rel=0.02)
+
+
+def test_saved_meshes_load_back(tmp_path: Path) -> None:
+    entry = make_object()
+    mesh = meshes.track_mesh(Track(1, 1, (entry,), box_grid(entry.extents_m)))
+    assert mesh is not None
+    glb, ply = meshes.save_mesh(mesh, figures.track_color(1), tmp_path / "track_1")
+    from_ply = trimesh.load(ply, force="mesh")
+    assert from_ply.is_watertight
+    np.testing.assert_allclose(from_ply.bounds, mesh.bounds, atol=1e-5)
+    assert tuple(from_ply.visual.vertex_colors[0][:3]) == tuple(figures.track_color(1))
+    from_glb = trimesh.load(glb, force="mesh")  # y up: world (x, y, z) is (x, z, -y)
+    assert from_glb.is_watertight
+    expected = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]
+    np.testing.assert_allclose(from_glb.bounds[0], expected.min(axis=0), atol=1e-5)
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_depth_colours_mark_missing_and_order() -> None:
+    image = figures.depth_to_color(np.array([[0.0, 0.5, 3.0]], dtype=np.float32))
+    assert tuple(image[0, 0]) == (128, 128, 128)
+    assert image[0, 1].sum() > image[0, 2].sum()
+    assert (figures.depth_to_color(np.zeros((2, 2), dtype=np.float32)) == 128).all()
+
+
+def test_track_colours_are_stable_and_distinct() -> None:
+    colors = {tuple(figures.track_color(n)) for n in range(1, 21)}
+    assert len(colors) == 20
+    assert figures.track_hex(3) == "#" + bytes(figures.track_color(3)).hex()
+
+
+def test_box_is_drawn_where_it_projects() -> None:
+    entry = make_object(center=(3.0, 0.0, 1.0), yaw=0.0, extents=(1.0, 1.0, 1.0))
+    image = Image.new("RGB", (80, 60), "black")
+    figures.draw_objects(image, CAMERA, LOOK_X, [entry])
+    color = figures.track_color(entry.track_id)
+    lit = (np.asarray(image) == color).all(axis=-1)
+    columns = np.flatnonzero(lit[30:].any(axis=0))  # below the label
+    half = 60 * 0.5 / 2.5  # nearest face: 2.5 m away, 0.5 m to each side
+    assert columns.min() == pytest.approx(39.5 - half, abs=1.5)
+    assert columns.max() == pytest.approx(39.5 + half, abs=1.5)
+
+
+def test_boxes_behind_or_around_the_camera_do_not_crash() -> None:
+    image = Image.new("RGB", (80, 60), "black")
+    behind = make_object(center=(-3.0, 0.0, 1.0))
+    figures.draw_objects(image, CAMERA, LOOK_X, [behind])
+    assert not np.asarray(image).any()
+    around = make_object(center=(0.0, 0.0, 1.0), extents=(2.0, 2.0, 2.0))
+    ended = make_object(2, state=TrackState.ENDED)
+    figures.draw_objects(image, CAMERA, LOOK_X, [around, ended])
+    assert np.asarray(image).any()
+
+
+def test_mesh_overlay_is_fainter_behind_the_measured_depth() -> None:
+    cube = trimesh.creation.box((1.0, 1.0, 1.0))
+    cube.apply_translation((3.0, 0.0, 1.0))
+    mesh = figures.ColoredMesh(cube, np.array([255, 0, 0], dtype=np.uint8))
+    blank = np.zeros((60, 80, 3), dtype=np.uint8)
+
+    def draw(depth: float) -> np.ndarray:
+        depth_m = np.full((60, 80), depth, dtype=np.float32)
+        return figures.overlay_meshes(blank, depth_m, CAMERA, LOOK_X, [mesh])
+
+    seen, hidden = draw(5.0), draw(1.0)
+    assert seen[30, 40, 0] > 1.5 * hidden[30, 40, 0] > 0
+    assert not seen[0, 0].any()
+    assert (figures.overlay_meshes(blank, blank[..., 0], CAMERA, LOOK_X, []) == blank).all()
+
+
+def test_overlay_scales_and_draws_depth_without_colour() -> None:
+    picture = figures.overlay(make_frame(color=False), [make_object()], width=160)
+    assert picture.size == (160, 120)
+
+
+def test_top_view_bounds_hold_camera_and_tracks() -> None:
+    entry = make_object(center=(3.0, -2.0, 0.4))
+    record = FrameRecord(0, "0", None, LOOK_X, (entry,))
+    run = PredictedSequence("s", CAMERA, (record,), {1: 1})
+    view = plots.top_view_of(run)
+    corners = figures.box_corners(entry)[:, :2]
+    assert (view.low < np.minimum(corners.min(axis=0), 0)).all()
+    assert (view.high > np.maximum(corners.max(axis=0), 0)).all()
+    picture = np.asarray(plots.top_view(run, width=300))
+    assert (picture == figures.track_color(1)).all(axis=-1).any()
+    plots.top_view(PredictedSequence("empty", CAMERA, (), {}))
+
+
+def test_state_segments_join_equal_neighbours() -> None:
+    states = [TrackState.TRACKED, TrackState.TRACKED, TrackState.LOST, TrackState.TRACKED]
+    history = [make_object(frame_index=10 + 2 * n, state=s) for n, s in enumerate(states)]
+    positions = {10 + 2 * n: n for n in range(4)}
+    assert plots.state_segments(history, positions) == [
+        (0, 1, TrackState.TRACKED),
+        (2, 2, TrackState.LOST),
+        (3, 3, TrackState.TRACKED),
+    ]
+
+
+def test_contact_sheet_and_scatter() -> None:
+    images = [np.full((30, 40, 3), 10 * n, dtype=np.uint8) for n in range(5)]
+    sheet = plots.contact_sheet(images, [str(n) for n in range(5)], columns=2, cell=(60, 40))
+    assert sheet.size == (128, 186)
+    points = plots.occupied_points(box_grid(np.array([1.0, 1.0, 1.0])))
+    assert np.abs(points).max() < 0.5
+    assert (np.asarray(plots.scatter(points)) < 250).any()
+    plots.scatter(np.zeros((0, 3)))
+
+
+def test_without_rerun_the_replay_is_nothing(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    nothing = replay.open_replay(tmp_path / "replay.rrd", "s")
+    assert "pip install" in nothing.hint and "\n" not in nothing.hint
+    nothing.add_frame(make_frame(), [make_object()])
+    nothing.finish({})
+    nothing.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_replay_holds_every_entity(tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun", reason="the viz extra is not installed")
+    path = tmp_path / "replay.rrd"
+    stream = replay.open_replay(path, "s")
+    for n in range(4):
+        state = TrackState.TRACKED if n < 3 else TrackState.ENDED
+        stream.add_frame(make_frame(n), [make_object(1, n, state), make_object(2, n)])
+    mesh = meshes.canonical_mesh(box_grid(np.array([0.6, 1.2, 0.8])))
+    assert mesh is not None
+    stream.finish({1: mesh})
+    recording = rerun.recording.load_recording(path)
+    entities = set(recording.schema().entity_paths())
+    for name in ("camera", "camera/depth", "camera/color", "boxes", "tracks/1/mesh", "paths/2"):
+        assert f"/world/{name}" in entities
+    assert {"/states/track_1_bed", "/states/track_2_bookshelf"} <= entities
