@@ -1,10 +1,12 @@
-"""Rigid transforms and rotations. All arrays float64; names as in CONVENTIONS.md."""
+"""Rigid transforms and rotations. All arrays float64; names as in CONVENTIONS.md.
+
+scipy's rotations are imported where they are used: they take half a second to load.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from composenet.geometry.symmetry import turns
 from composenet.records import FloatArray, Symmetry
@@ -41,6 +43,8 @@ def rotation_onto(source: ArrayLike, target: ArrayLike) -> NDArray[np.float64]:
     Opposite directions turn by 180 degrees about an arbitrary axis normal to them.
     Raises ValueError for a direction of length zero.
     """
+    from scipy.spatial.transform import Rotation
+
     a, b = (np.asarray(v, dtype=np.float64) for v in (source, target))
     if not (np.linalg.norm(a) > 0 and np.linalg.norm(b) > 0):
         raise ValueError("a direction of length zero cannot be turned")
@@ -56,7 +60,7 @@ def rotation_onto(source: ArrayLike, target: ArrayLike) -> NDArray[np.float64]:
 
 def angle_between_deg(R_a: FloatArray, R_b: FloatArray) -> float:
     """Angle of the rotation `R_a^T @ R_b`, degrees in 0..180 (exact near both ends)."""
-    return float(np.degrees(Rotation.from_matrix(R_a.T @ R_b).magnitude()))
+    return float(_angles_deg(R_a.T @ R_b))
 
 
 def rotation_error_deg(
@@ -67,14 +71,26 @@ def rotation_error_deg(
     Both are `R_world_object`. A continuous symmetry is tested in 36 steps of 10 degrees
     (Scan2CAD), so its error about the axis is at most 5 degrees.
     """
-    return min(angle_between_deg(R_a, R_b @ turn) for turn in turns(symmetry))
+    return float(_angles_deg(R_a.T @ R_b @ turns(symmetry)).min())
+
+
+def _angles_deg(R: FloatArray) -> NDArray[np.float64]:
+    """(...) rotation angles of R (..., 3, 3), from sine and cosine both."""
+    antisymmetric = R - np.swapaxes(R, -1, -2)
+    twice_sine = np.linalg.norm(antisymmetric, axis=(-1, -2)) / np.sqrt(2)
+    twice_cosine = np.trace(R, axis1=-2, axis2=-1) - 1
+    return np.degrees(np.arctan2(twice_sine, twice_cosine))
 
 
 def quaternion_from_rotation(R: FloatArray) -> NDArray[np.float64]:
     """Unit quaternion (w, x, y, z) with w >= 0 of R (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> NDArray[np.float64]:
     """R (3, 3) of a quaternion (w, x, y, z) of any length but zero (ValueError)."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_quat(np.asarray(wxyz, dtype=np.float64), scalar_first=True).as_matrix()
