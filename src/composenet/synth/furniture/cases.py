@@ -95,10 +95,17 @@ def opened(rng: Rng, probability: float = 0.12) -> float:
 
 
 def add_case(
-    builder: ShapeBuilder, look: Look, low: ArrayLike, high: ArrayLike, cells: Sequence[Cell]
+    builder: ShapeBuilder,
+    look: Look,
+    low: ArrayLike,
+    high: ArrayLike,
+    cells: Sequence[Cell],
+    cuts: Sequence[Solid] = (),
+    turn_deg: float = 0.0,
 ) -> None:
     """A carcass between two corners with its front at the high x, and what its cells hold.
-    Closed cells are solid, open ones hollow."""
+    Closed cells are solid, open ones hollow; cuts are taken out of the carcass. At last all is
+    turned about z."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     back, front = float(low[0]), float(high[0])
     hollow = [
@@ -110,30 +117,32 @@ def add_case(
         if cell.kind == "open" or cell.pulled
     ]
     body = box_between(low, high)
-    if hollow:
-        body = Solid.batch_boolean([body, *hollow], m3.OpType.Subtract)
-    builder.add(body, look.body)
+    if hollow or cuts:
+        body = Solid.batch_boolean([body, *hollow, *cuts], m3.OpType.Subtract)
+    parts = [(body, look.body)]
     for cell in cells:
-        _add_cell(builder, look, cell, back, front)
+        parts += _cell(look, cell, back, front)
+    for part, material in parts:
+        builder.add(part.rotate((0, 0, turn_deg)) if turn_deg else part, material)
 
 
-def _add_cell(builder: ShapeBuilder, look: Look, cell: Cell, back: float, front: float) -> None:
-    inner = (back + look.board, front - look.board)
+def _cell(look: Look, cell: Cell, back: float, front: float) -> list[tuple[Solid, Material]]:
+    """Shelves, doors or the drawer of one compartment."""
+    parts: list[tuple[Solid, Material]] = []
     if cell.kind == "open" or (cell.pulled and cell.kind != "drawer"):
+        half = look.board / 2
         for z in np.linspace(cell.z0, cell.z1, cell.shelves + 2)[1:-1]:
-            lows = (inner[0], cell.y0, z - look.board / 2)
-            builder.add(box_between(lows, (inner[1], cell.y1, z + look.board / 2)), look.body)
+            low, high = (back + half, cell.y0, z - half), (front - look.board, cell.y1, z + half)
+            parts.append((box_between(low, high), look.body))
     if cell.kind == "open":
-        return
+        return parts
     y0, y1 = cell.y0 + look.gap / 2, cell.y1 - look.gap / 2
     z0, z1 = cell.z0 + look.gap / 2, cell.z1 - look.gap / 2
     if cell.kind == "drawer":
         out = cell.pulled * 0.8 * (front - back)
-        for part, material in _front(look, front + out, y0, y1, z0, z1, "middle"):
-            builder.add(part, material)
         if cell.pulled:
-            builder.add(_tray(look, cell, back + out + 0.02, front + out), look.body)
-        return
+            parts.append((_tray(look, cell, back + out + 0.02, front + out), look.body))
+        return parts + _front(look, front + out, y0, y1, z0, z1, "middle")
     leaves = [(y0, y1, cell.kind)]
     if cell.kind == "double":
         middle = (y0 + y1) / 2
@@ -145,7 +154,8 @@ def _add_cell(builder: ShapeBuilder, look: Look, cell: Cell, back: float, front:
             if cell.pulled:
                 part = part.translate((-front, -hinge_y, 0.0)).rotate((0, 0, angle * cell.pulled))
                 part = part.translate((front, hinge_y, 0.0))
-            builder.add(part, material)
+            parts.append((part, material))
+    return parts
 
 
 def _tray(look: Look, cell: Cell, back: float, front: float) -> Solid:

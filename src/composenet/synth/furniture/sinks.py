@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -70,20 +71,22 @@ def _top_with_bowl(
     bowls: list[tuple[float, float]],
     deep: float,
     power: float,
-) -> tuple[list[Solid], list[Solid]]:
-    """A counter slab of `size` whose top is at z with bowls (centre y, width) sunk into it:
-    the slabs round the holes, and the bowls."""
+) -> tuple[Solid, list[Solid], list[Solid]]:
+    """A counter slab of `size` whose top is at z with bowls (centre y, width) sunk into it.
+    Returns the slab with its holes, the bowls, and what they displace in a case below."""
     depth, width, thick = size
     front, back = float(rng.uniform(0.04, 0.08)), float(rng.uniform(0.1, 0.16))
     x0, x1 = back - depth / 2, depth / 2 - front
     slab = box((depth, width, thick), (0, 0, z - thick / 2))
-    vessels = []
+    vessels, cuts = [], []
     for y, bowl_width in bowls:
         hole = oval(x1 - x0, bowl_width, power, 24, ((x0 + x1) / 2, y))
         centre = np.array([(x0 + x1) / 2, y])
         slab = slab - loft_z([hole, hole], [z - thick - 1, z + 1])
         outer = (hole - centre) * 1.05 + centre
         shrunk = (hole - centre) * 0.8 + centre
+        wall = (hole - centre) * 0.76 + centre
+        cuts.append(loft_z([wall, hole, hole], [z - deep + 0.008, z - 0.5 * deep, z + 0.1]))
         vessels.append(
             basin(
                 [
@@ -96,7 +99,7 @@ def _top_with_bowl(
                 ]
             )
         )
-    return [slab], vessels
+    return slab, vessels, cuts
 
 
 def pedestal(rng: Rng) -> Shape:
@@ -104,7 +107,7 @@ def pedestal(rng: Rng) -> Shape:
     builder, body = ShapeBuilder(), ceramic(rng)
     depth, width = float(rng.uniform(0.38, 0.52)), float(rng.uniform(0.45, 0.72))
     rim, thick = float(rng.uniform(0.78, 0.9)), float(rng.uniform(0.16, 0.24))
-    bowl, shelf = _washbasin(rng, depth, width, rim, thick, float(rng.uniform(2.0, 6.0)))
+    bowl, shelf = _washbasin(rng, depth, width, rim, thick, float(rng.choice([2.0, 2.4, 4.0, 8.0])))
     builder.add(bowl, body)
     across, power = float(rng.uniform(0.15, 0.24)), float(rng.uniform(2.0, 5.0))
     centre = (-0.12 * depth - 0.02, 0)
@@ -118,40 +121,48 @@ def pedestal(rng: Rng) -> Shape:
 
 
 def wall_hung(rng: Rng) -> Shape:
-    """A basin alone on the wall, sometimes with its trap or a half column."""
+    """A basin without a column: on a wall frame, on console legs, or with its pipe below."""
     builder, body = ShapeBuilder(), ceramic(rng)
     depth, width = float(rng.uniform(0.28, 0.52)), float(rng.uniform(0.38, 0.9))
-    thick, rim = float(rng.uniform(0.12, 0.22)), 0.6
-    bowl, shelf = _washbasin(rng, depth, width, rim, thick, float(rng.uniform(2.0, 12.0)))
+    thick, rim = float(rng.uniform(0.12, 0.22)), float(rng.uniform(0.78, 0.9))
+    power = float(rng.choice([rng.uniform(2.0, 2.6), rng.uniform(3.0, 12.0)]))
+    bowl, shelf = _washbasin(rng, depth, width, rim, thick, power)
     builder.add(bowl, body)
-    roll, fittings = rng.random(), metal(rng)
-    if roll < 0.4:
-        low = rim - thick
-        builder.add(cylinder(0.03, 0.12, (0, 0, low - 0.16), 12), fittings)
-        builder.add(
-            tube([(0, 0, low + 0.02), (0, 0, low - 0.08), (-depth / 2, 0, low - 0.08)], 0.016),
-            fittings,
-        )
-    elif roll < 0.6:
-        sections = [oval(0.2, w, 3.0, 16, (0.1 - depth / 2, 0)) for w in (0.1, 0.16, 0.2)]
-        builder.add(
-            loft_z(sections, [rim - thick - 0.28, rim - 0.7 * thick - 0.1, rim - 0.6 * thick]), body
-        )
+    roll, fittings, low = rng.random(), metal(rng), rim - thick
+    if roll < 0.35:  # waste pipe into the floor
+        builder.add(cylinder(0.035, 0.14, (0, 0, low - 0.2), 12), fittings)
+        x = float(rng.uniform(-0.4, -0.2)) * depth
+        pipe = [(0, 0, low + 0.02), (0, 0, low - 0.12), (x, 0, low - 0.12), (x, 0, 0)]
+        builder.add(tube(pipe, 0.018), fittings)
+    elif roll < 0.7:  # boxed-in frame behind
+        thick_wall, wide = float(rng.uniform(0.05, 0.14)), width * float(rng.uniform(0.9, 1.6))
+        high = rim + float(rng.uniform(0.1, 0.4))
+        wall = box((thick_wall, wide, high), (-(depth + thick_wall) / 2, 0, high / 2))
+        builder.add(wall, stone(rng) if chance(rng, 0.5) else wood(rng))
+        if chance(rng, 0.5):
+            outlines = [oval(0.2, w, 3.0, 16, (0.1 - depth / 2, 0)) for w in (0.1, 0.16, 0.2)]
+            levels = [low - 0.28, rim - 0.7 * thick - 0.1, rim - 0.6 * thick]
+            builder.add(loft_z(outlines, levels), body)
+    else:  # console legs
+        leg = float(rng.uniform(0.01, 0.02))
+        for x in (-0.4 * depth, 0.35 * depth):
+            for y in (-0.4 * width, 0.4 * width):
+                builder.add(rod((x, y, 0), (x, y, rim - 0.3 * thick), leg), fittings)
     add_tap(builder, rng, (shelf, 0, rim), (1, 0), float(rng.uniform(0.08, 0.18)), 0.12, fittings)
     return _finish(builder, "wall_hung")
 
 
 def vanity(rng: Rng) -> Shape:
     """Bathroom cabinet with one or two basins sunk into its top."""
-    builder, look = ShapeBuilder(), random_look(rng)
+    builder, look = (
+        ShapeBuilder(),
+        replace(random_look(rng), front=str(rng.choice(["flat", "frame"]))),
+    )
     double = chance(rng, 0.25)
     width = float(rng.uniform(1.15, 1.6) if double else rng.uniform(0.5, 1.1))
     depth, height = float(rng.uniform(0.42, 0.56)), float(rng.uniform(0.76, 0.9))
     kind = str(rng.choice(["plinth", "legs", "bracket", "none"]))
-    base = {"plinth": 0.09, "none": 0.3}.get(kind, float(rng.uniform(0.1, 0.25)))
-    floor = 0.0 if kind == "none" else base
-    if kind == "none":  # hangs on the wall
-        height, base = height - base, 0.0
+    base = {"plinth": 0.09, "none": 0.0}.get(kind, float(rng.uniform(0.1, 0.25)))
     thick = float(rng.uniform(0.02, 0.06))
     case_top = height - thick
     cells: list[Cell] = []
@@ -168,17 +179,17 @@ def vanity(rng: Rng) -> Shape:
         else:
             hinge = str(rng.choice(["left", "right"]))
             cells.append(Cell(y0, y1, base, case_top, hinge, opened(rng, 0.08), 1))
-    add_base(builder, rng, kind, depth - 0.02, width - 0.02, floor, look.body)
-    low, high = (-depth / 2, -width / 2, base), (depth / 2 - 0.02, width / 2, case_top)
-    add_case(builder, look, low, high, cells)
+    add_base(builder, rng, kind, depth - 0.02, width - 0.02, base, look.body)
     top = ceramic(rng) if chance(rng, 0.6) else stone(rng)
     ys = (-width / 4, width / 4) if double else (0.0,)
     bowl_width = min(float(rng.uniform(0.38, 0.55)), 0.8 * width / len(ys))
     size = (depth, width + 0.02, thick)
     power = float(rng.uniform(2.0, 7.0))
-    slabs, vessels = _top_with_bowl(rng, size, height, [(y, bowl_width) for y in ys], 0.15, power)
-    for part in slabs:
-        builder.add(part, top)
+    places = [(y, bowl_width) for y in ys]
+    slab, vessels, cuts = _top_with_bowl(rng, size, height, places, 0.15, power)
+    builder.add(slab, top)
+    low, high = (-depth / 2, -width / 2, base), (depth / 2 - 0.02, width / 2, case_top)
+    add_case(builder, look, low, high, cells, cuts)
     white, fittings = ceramic(rng), metal(rng)
     for y, vessel in zip(ys, vessels, strict=True):
         builder.add(vessel, white)
@@ -205,8 +216,6 @@ def kitchen(rng: Rng) -> Shape:
         for index, (y0, y1) in enumerate(pairwise(edges))
     ]
     add_base(builder, rng, "plinth", depth - 0.02, width, kick, look.body)
-    low, high = (-depth / 2, -width / 2, kick), (depth / 2 - 0.03, width / 2, height - thick)
-    add_case(builder, look, low, high, cells)
     double = width > 0.95 and chance(rng, 0.45)
     bowl = (
         float(rng.uniform(0.34, 0.42))
@@ -217,10 +226,12 @@ def kitchen(rng: Rng) -> Shape:
     ys = (-0.55 * bowl, 0.55 * bowl) if double else (offset,)
     places = [(y, bowl) for y in ys]
     size = (depth, width, thick)
-    slabs, vessels = _top_with_bowl(rng, size, height, places, 0.19, float(rng.uniform(5, 14)))
+    power = float(rng.uniform(5, 14))
+    slab, vessels, cuts = _top_with_bowl(rng, size, height, places, 0.19, power)
     top = stone(rng) if chance(rng, 0.5) else wood(rng)
-    for part in slabs:
-        builder.add(part, top)
+    builder.add(slab, top)
+    low, high = (-depth / 2, -width / 2, kick), (depth / 2 - 0.03, width / 2, height - thick)
+    add_case(builder, look, low, high, cells, cuts)
     steel = metal(rng) if chance(rng, 0.75) else ceramic(rng)
     for part in vessels:
         builder.add(part, steel)
@@ -280,11 +291,10 @@ def vessel(rng: Rng) -> Shape:
                 )
         if chance(rng, 0.6):
             builder.add(box((depth - leg, width - leg, 0.025), (0, 0, 0.2)), top)
-    elif chance(rng, 0.5):
-        builder.add(
-            box((0.7 * depth, 0.85 * width, 0.3), (-0.1 * depth, 0, counter - thick - 0.15)),
-            look.body,
-        )
+    else:  # gables
+        high = counter - thick
+        for y in (0.03 - width / 2, width / 2 - 0.03):
+            builder.add(box((0.9 * depth, 0.05, high), (0, y, high / 2)), look.body)
     size_x = depth - float(rng.uniform(0.1, 0.16))
     size_y = min(size_x * float(rng.uniform(1.0, 1.6)), 0.8 * width)
     shift = depth / 2 - size_x / 2 - 0.02
@@ -322,7 +332,7 @@ def corner(rng: Rng) -> Shape:
     roll = rng.random()
     if roll < 0.4:
         builder.add(cylinder(0.07, rim - 0.7 * deep, (-0.1 * side, 0, 0), 16), body)
-    elif roll < 0.7:
+    else:
         case = outer * 0.85 - np.array([0.08 * side, 0])
         builder.add(loft_z([case, case], [0, rim - 0.8 * deep]), wood(rng))
     foot = (-0.45 * side, 0.0, rim)

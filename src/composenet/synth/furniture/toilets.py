@@ -202,7 +202,7 @@ def one_piece(rng: Rng) -> Shape:
 
 
 def wall_hung(rng: Rng) -> Shape:
-    """A bowl that floats before the wall, sometimes with the boxed-in frame behind it."""
+    """A bowl that hangs from a boxed-in frame, clear of the floor."""
     builder, body = ShapeBuilder(), ceramic(rng)
     length, width, rim = _proportions(rng)
     seat = _egg(length, width, float(rng.uniform(2.0, 5.0)), float(rng.uniform(0.3, 1.0)))
@@ -219,11 +219,10 @@ def wall_hung(rng: Rng) -> Shape:
     )
     builder.add(neck, body)
     _seat_and_lid(builder, rng, seat, rim, _lid_material(rng, body))
-    if chance(rng, 0.55):
-        wide, high = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.85, 1.15))
-        panel = box((0.14, wide, high), (-0.145, 0, high / 2))
-        builder.add(panel, wood(rng) if chance(rng, 0.3) else ceramic(rng))
-        builder.add(box((0.012, 0.24, 0.16), (-0.072, 0, high - 0.14)), metal(rng))
+    wide, high = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.85, 1.15))
+    panel = box((0.14, wide, high), (-0.145, 0, high / 2))
+    builder.add(panel, wood(rng) if chance(rng, 0.3) else ceramic(rng))
+    builder.add(box((0.012, 0.24, 0.16), (-0.072, 0, high - 0.14)), metal(rng))
     return _finish(builder, "wall_hung")
 
 
