@@ -12,62 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from composenet.geometry.transform import make_T, rotation_z
 from composenet.predictions import FrameRecord, PredictedSequence
-from composenet.records import (
-    Box,
-    Camera,
-    Frame,
-    Similarity,
-    Track,
-    TrackedObject,
-    TrackState,
-)
+from composenet.records import Track, TrackState
 from composenet.view import figures, meshes, plots, replay
-
-CAMERA = Camera(K=np.array([[60.0, 0, 39.5], [0, 60.0, 29.5], [0, 0, 1]]), width=80, height=60)
-# camera at the world's origin, 1 m up, looking along +x
-LOOK_X = make_T(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.0, 0, 1]))
-
-
-def centres() -> np.ndarray:
-    """(64, 64, 64, 3) canonical cell centres."""
-    axis = (np.arange(64) + 0.5) / 64 - 0.5
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
-
-
-def box_grid(extents_m: np.ndarray) -> np.ndarray:
-    """Canonical reconstruction of a full box: (64, 64, 64) float32."""
-    half = extents_m / np.linalg.norm(extents_m) / 2
-    return (np.abs(centres()) <= half).all(axis=-1).astype(np.float32)
-
-
-def make_object(
-    track_id: int = 1,
-    frame_index: int = 0,
-    state: TrackState = TrackState.TRACKED,
-    center: tuple[float, float, float] = (3.0, 0.0, 1.0),
-    yaw: float = 0.3,
-    extents: tuple[float, float, float] = (0.6, 1.2, 0.8),
-) -> TrackedObject:
-    R, extents_m, t = rotation_z(yaw), np.array(extents), np.array(center)
-    return TrackedObject(
-        track_id=track_id,
-        frame_index=frame_index,
-        class_id=track_id % 10,
-        state=state,
-        confidence=0.8,
-        box=Box(t, np.abs(R) @ extents_m),
-        S_world_canonical=Similarity(float(np.linalg.norm(extents_m)), R, t),
-        extents_m=extents_m,
-        observed=state in (TrackState.TRACKED, TrackState.RE_FOUND),
-    )
-
-
-def make_frame(index: int = 0, depth: float = 5.0, color: bool = True) -> Frame:
-    image = np.full((60, 80, 3), 90, dtype=np.uint8) if color else None
-    depth_m = np.full((60, 80), depth, dtype=np.float32)
-    return Frame(index, depth_m, CAMERA, LOOK_X, image, timestamp_s=index / 30, name=f"{index:06d}")
+from fake_tracks import CAMERA, LOOK_X, box_grid, centres, make_frame, make_object
 
 
 def test_mesh_is_closed_metric_and_in_place() -> None:
@@ -242,7 +190,7 @@ def test_without_rerun_the_replay_is_nothing(tmp_path: Path, monkeypatch) -> Non
 
 
 def test_replay_holds_every_entity(tmp_path: Path) -> None:
-    rerun = pytest.importorskip("rerun", reason="the viz extra is not installed")
+    chunk = pytest.importorskip("rerun.chunk", reason="the viz extra is not installed")
     path = tmp_path / "replay.rrd"
     stream = replay.open_replay(path, "s")
     for n in range(4):
@@ -251,8 +199,8 @@ def test_replay_holds_every_entity(tmp_path: Path) -> None:
     mesh = meshes.canonical_mesh(box_grid(np.array([0.6, 1.2, 0.8])))
     assert mesh is not None
     stream.finish({1: mesh})
-    recording = rerun.recording.load_recording(path)
-    entities = set(recording.schema().entity_paths())
+    store = chunk.RrdReader(str(path)).store()
+    entities = set(store.schema().entity_paths())
     for name in ("camera", "camera/depth", "camera/color", "boxes", "tracks/1/mesh", "paths/2"):
         assert f"/world/{name}" in entities
     assert {"/states/track_1_bed", "/states/track_2_bookshelf"} <= entities
