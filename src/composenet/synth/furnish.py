@@ -14,13 +14,13 @@ from composenet.synth.shape import Shape
 MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -> shape
 MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
 
-ROOM_KINDS = {
-    "living": (0.16, (3.8, 7.5)),
-    "bedroom": (0.20, (3.2, 5.5)),
-    "bathroom": (0.24, (3.0, 4.6)),
-    "dining": (0.14, (3.6, 7.0)),
-    "office": (0.12, (3.4, 7.0)),
-    "mixed": (0.14, (4.0, 8.0)),
+ROOM_KINDS = {  # share, shortest and longest side in metres
+    "living": (0.15, (3.8, 7.5)),
+    "bedroom": (0.15, (3.2, 5.5)),
+    "bathroom": (0.22, (3.0, 4.8)),
+    "dining": (0.09, (3.6, 7.0)),
+    "office": (0.15, (3.4, 7.0)),
+    "mixed": (0.24, (4.0, 8.0)),
 }
 
 
@@ -111,7 +111,7 @@ def _living(layout: Layout, make: MakeShape) -> None:
 def _bedroom(layout: Layout, make: MakeShape) -> None:
     for _ in range(int(layout.rng.integers(1, 3))):
         _bed_with_cabinet(layout, make)
-    _some(layout, make, "cabinet", 1, 2)
+    _some(layout, make, "cabinet", 0, 2)
     _some(layout, make, "bookshelf", 0, 1)
     if layout.rng.random() < 0.5:
         _desk_with_chair(layout, make)
@@ -142,8 +142,14 @@ def _office(layout: Layout, make: MakeShape) -> None:
         _add(layout, make, "sofa")
 
 
+# Classes that other rooms hold often stand here seldom.
+_MIXED = {"chair": 0.5, "cabinet": 0.5, "bathtub": 1.2, "desk": 1.3, "sofa": 1.4}
+
+
 def _mixed(layout: Layout, make: MakeShape) -> None:
-    for class_name in layout.rng.choice(CLASS_NAMES, int(layout.rng.integers(5, 10))):
+    share = np.array([_MIXED.get(name, 1.0) for name in CLASS_NAMES])
+    wanted = int(layout.rng.integers(5, 10))
+    for class_name in layout.rng.choice(CLASS_NAMES, wanted, p=share / share.sum()):
         _add(layout, make, str(class_name))
 
 

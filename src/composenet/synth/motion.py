@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ def move_items(layout: Layout, frames: int) -> NDArray[np.float64] | None:
     furniture = [i for i in floor if items[i].shape.class_name != "clutter"]
     wanted, moved = int(rng.integers(1, 4)), 0
     # Small things are moved more often, as they are in life.
-    size = np.array([np.prod(items[i].shape.extents_m[:2]) for i in furniture])
+    size = np.array([np.prod(items[i].extents_m[:2]) for i in furniture])
     order = np.argsort(size * rng.exponential(1.0, len(size)))
     for index in np.array(furniture)[order]:
         path = _roam(layout, paths, int(index), floor)
@@ -138,19 +139,6 @@ def _smooth_noise(rng: np.random.Generator, frames: int, columns: int) -> NDArra
     return (0.5 * white[:-2] + 0.7 * white[1:-1] + 0.5 * white[2:]).astype(np.float64)
 
 
-def _obstacles(
-    layout: Layout, paths: NDArray[np.float64], frame: int, above_m: float
-) -> NDArray[np.float64]:
-    """(M, 5) footprints of the things on the floor that reach higher than above_m."""
-    tall = [
-        i
-        for i, item in enumerate(layout.items)
-        if item.support is None and item.shape.extents_m[2] > above_m
-    ]
-    half = np.array([layout.items[i].footprint[3:] for i in tall]).reshape(-1, 2)
-    return np.concatenate([paths[frame, tall].reshape(-1, 3), half], axis=1)
-
-
 def _view_score(
     layout: Layout, places: NDArray[np.float64], at: NDArray[np.float64], yaw: float, half: float
 ) -> float:
@@ -184,40 +172,48 @@ def _best_view(
 def _stroll(
     layout: Layout, paths: NDArray[np.float64], eye: float, half_view: float
 ) -> NDArray[np.float64]:
-    """(F, 2) where the walker is: from a place with a good view to random goals, round things."""
-    rng, radius, size = layout.rng, 0.2, np.array(layout.room.size_m)
-
-    def is_free(at: NDArray[np.float64], frame: int, above_m: float) -> bool:
-        body: Footprint = (float(at[0]), float(at[1]), 0.0, radius, radius)
-        return inside(layout.room, body) and not overlaps(
-            body, _obstacles(layout, paths, frame, above_m), 0.0
-        )
-
-    # In a crowded room the camera is held over low things.
-    for above_m in (0.0, eye - 0.3):
-        spots = [s for s in rng.uniform(0.05, 0.95, (40, 2)) * size if is_free(s, 0, above_m)]
-        if len(spots) >= 3:
+    """(F, 2) where the walker is: from a place with a good view to others, round things."""
+    rng, size = layout.rng, np.array(layout.room.size_m)
+    # In a crowded room the walker comes closer to things, then holds the camera over low ones.
+    for radius, above_m in ((0.35, 0.0), (0.2, 0.0), (0.2, eye - 0.3)):
+        is_free = _free_places(layout, paths, radius, above_m)
+        spots = [s for s in rng.uniform(0.05, 0.95, (30, 2)) * size if is_free(s, 0)]
+        if len(spots) >= 4:
             break
-    spots = spots[:12] or [size / 2]
+    spots = spots[:10] or [size / 2]
     position = np.empty((len(paths), 2))
-    position[0] = max(spots, key=lambda s: _best_view(layout, paths[0], s, half_view)[0])
-    goal, pace = _goal(layout), rng.uniform(0.06, 0.12)
+    rated = sorted(spots, key=lambda s: -_best_view(layout, paths[0], s, half_view)[0])
+    position[0], goals = rated[0], rated[1:5] or rated
+    goal, pace = goals[0], rng.uniform(0.06, 0.12)
     for f in range(1, len(paths)):
         position[f] = position[f - 1]
         step = pace * (2.6 if rng.random() < 0.03 else rng.uniform(0.7, 1.3))
         for turn in (0.0, 0.5, -0.5, 1.0, -1.0, 1.6, -1.6, 2.3, -2.3, 3.1):
             heading = np.arctan2(*(goal - position[f - 1])[::-1]) + turn
             to = position[f - 1] + step * np.array([np.cos(heading), np.sin(heading)])
-            if is_free(to, f, above_m):
+            if is_free(to, f):
                 position[f] = to
                 break
-        if np.hypot(*(goal - position[f])) < 0.2 or rng.random() < 0.08 or abs(turn) > 1.5:
-            goal = _goal(layout)
+        if np.hypot(*(goal - position[f])) < 0.2 or rng.random() < 0.05 or abs(turn) > 1.5:
+            goal = goals[int(rng.integers(len(goals)))]
     return position
 
 
-def _goal(layout: Layout) -> NDArray[np.float64]:
-    return layout.rng.uniform(0.1, 0.9, 2) * np.array(layout.room.size_m)
+def _free_places(
+    layout: Layout, paths: NDArray[np.float64], radius: float, above_m: float
+) -> Callable[[NDArray[np.float64], int], bool]:
+    """Whether a body of that radius may stand at a place (2,) in a frame, among the things on
+    the floor that reach higher than above_m."""
+    items = layout.items
+    tall = [i for i, o in enumerate(items) if o.support is None and o.extents_m[2] > above_m]
+    half = np.array([items[i].footprint[3:] for i in tall]).reshape(-1, 2)
+
+    def is_free(at: NDArray[np.float64], frame: int) -> bool:
+        body: Footprint = (float(at[0]), float(at[1]), 0.0, radius, radius)
+        obstacles = np.concatenate([paths[frame, tall].reshape(-1, 3), half], axis=1)
+        return inside(layout.room, body) and not overlaps(body, obstacles, 0.0)
+
+    return is_free
 
 
 def _gaze(
@@ -230,17 +226,17 @@ def _gaze(
     """(F,) yaw and pitch: looks at a piece of furniture, sweeping, with pans away and back."""
     rng, frames = layout.rng, len(position)
     away = _excursions(rng, frames)
-    sweep = np.radians(rng.uniform(6, 14))
+    sweep = np.radians(rng.uniform(4, 11))
     period, phase = rng.uniform(9, 16), rng.uniform(0, 2 * np.pi)
     rate = np.radians(rng.uniform(14, 22))
     _, yaw_now, target = _best_view(layout, paths[0], position[0], half_view)
     pitch_now: float | None = None
     yaw, pitch = np.empty(frames), np.empty(frames)
     for f in range(frames):
-        if f and rng.random() < 0.07:
-            target = _best_view(layout, paths[f], position[f], half_view)[2]
         dx, dy = paths[f, target, :2] - position[f]
         distance = float(np.hypot(dx, dy))
+        if rng.random() < (0.5 if distance < 1.0 else 0.06):
+            target = _best_view(layout, paths[f], position[f], half_view)[2]
         wanted = np.arctan2(dy, dx) + sweep * np.sin(2 * np.pi * f / period + phase) + away[f]
         yaw_now += float(np.clip(0.7 * _wrap(wanted - yaw_now), -rate, rate))
         down = float(np.clip(np.arctan2(eye - 0.5, max(distance, 0.6)), 0.1, 0.75))
@@ -252,10 +248,10 @@ def _gaze(
 def _excursions(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
     """(F,) radians looked aside: one or two pans away for some frames."""
     away = np.zeros(frames)
-    for _ in range(1 + int(rng.random() < 0.4)):
+    for _ in range(1 + int(rng.random() < 0.15)):
         start = int(rng.integers(3, max(4, frames - 10)))
-        side = rng.choice([-1, 1]) * np.radians(rng.uniform(60, 120))
-        away[start : start + int(rng.integers(5, 10))] = side
+        side = rng.choice([-1, 1]) * np.radians(rng.uniform(45, 100))
+        away[start : start + int(rng.integers(4, 9))] = side
     return away
 
 

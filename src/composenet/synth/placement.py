@@ -6,6 +6,7 @@ Footprints are (x, y, yaw, half x, half y) in the room frame: oriented rectangle
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -28,9 +29,14 @@ class Item:
     yaw: float
     support: int | None = None
 
-    @property
+    @cached_property
+    def extents_m(self) -> NDArray[np.float64]:
+        """(3,) of the shape."""
+        return self.shape.extents_m
+
+    @cached_property
     def footprint(self) -> Footprint:
-        ex, ey, _ = self.shape.extents_m
+        ex, ey, _ = self.extents_m
         return (self.xyz[0], self.xyz[1], self.yaw, ex / 2, ey / 2)
 
 
@@ -119,8 +125,8 @@ class Layout:
             patch = tops[i : i + nx, j : j + ny]
             if not np.isfinite(patch).all() or np.ptp(patch) > 0.01:
                 continue
-            dx = (i + nx / 2) * cell[0] - item.shape.extents_m[0] / 2
-            dy = (j + ny / 2) * cell[1] - item.shape.extents_m[1] / 2
+            dx = (i + nx / 2) * cell[0] - item.extents_m[0] / 2
+            dy = (j + ny / 2) * cell[1] - item.extents_m[1] / 2
             c, s = np.cos(item.yaw), np.sin(item.yaw)
             x, y = item.xyz[0] + c * dx - s * dy, item.xyz[1] + s * dx + c * dy
             yaw = float(self.rng.uniform(-np.pi, np.pi))

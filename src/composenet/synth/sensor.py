@@ -80,7 +80,7 @@ def measure(
     brightness and shininess (render.surface). Returns (H, W) float32 metres, 0 = no depth.
     """
     height, width = clean_depth_m.shape
-    noise = rng.standard_normal((4, height, width), dtype=np.float32)
+    noise = rng.standard_normal((3, height, width), dtype=np.float32)
     chance = rng.random((height, width), dtype=np.float32)
     patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
     warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
@@ -200,7 +200,7 @@ def _measure(  # type: ignore[no-untyped-def]
                 spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
                 disparity = focal_baseline / z + spread * noise[2, v, u]
                 # Finer steps than the quantum arise where neighbouring windows disagree.
-                disparity = np.rint(disparity / step_px + 0.15 * noise[3, v, u]) * step_px
+                disparity = np.rint(disparity / step_px + 0.5 * (chance[v, u] - 0.5)) * step_px
                 z = focal_baseline / disparity if disparity > 0 else 0.0
             else:
                 if step > 0.04 and other > 0 and chance[v, u] > 0.5:
