@@ -162,7 +162,7 @@ def _scene(run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]) -> str
     figure.update_layout(
         scene={
             "aspectmode": "data",
-            "camera": {"eye": {"x": -1.0, "y": -0.75, "z": 0.8}, "center": {"z": -0.15}},
+            "camera": {"eye": _viewpoint(run), "center": {"z": -0.15}},
             **{key: {**axis, "title": {"text": text}} for key, text in names.items()},
         },
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
@@ -182,6 +182,14 @@ def _scene(run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]) -> str
         f'{html}</div><p class="soft small">Each mesh at its last seen pose. Drag to turn, scroll '
         "to zoom, click a name to hide it. Simplified here; meshes/ has them whole.</p></section>"
     )
+
+
+def _viewpoint(run: PredictedSequence) -> dict[str, float]:
+    """From above, on the side that the recording camera mostly looked from."""
+    forward = sum((frame.T_world_camera[:2, 2] for frame in run.frames), np.zeros(2))
+    length = float(np.linalg.norm(forward))
+    x, y = -1.25 * forward / length if length > 0 else (-1.0, -0.75)
+    return {"x": float(x), "y": float(y), "z": 0.8}
 
 
 def _decimated(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
