@@ -394,7 +394,7 @@ def sleigh(rng: Rng) -> Shape:
     _frame(builder, rng, plan, material)
     _bedding(builder, rng, plan)
     width, thick = plan.width + 0.08, float(rng.uniform(0.035, 0.06))
-    roll = float(rng.uniform(0.1, 0.2))
+    roll = float(rng.uniform(0.06, 0.13))
     low = float(rng.uniform(0.0, 0.12))
     heights = (plan.top + float(rng.uniform(0.3, 0.6)), plan.top + float(rng.uniform(0.02, 0.3)))
     for sign, high in zip((-1, 1), heights, strict=True):

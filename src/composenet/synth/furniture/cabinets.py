@@ -373,7 +373,8 @@ def bow_front(rng: Rng) -> Shape:
     builder.add(extrude(outline * 1.04, 0.025, height), look.panel)
     rows = int(rng.integers(2, 4))
     for z0, z1 in _pairs(splits(rng, base + 0.02, height - 0.01, rows)):
-        grown = np.concatenate([np.add(curve, (0.012, 0)), np.subtract(curve[::-1], (0.05, 0))]) * (1, 0.95)
+        outside, inside = np.add(curve, (0.012, 0)), np.subtract(curve[::-1], (0.05, 0))
+        grown = np.concatenate([outside, inside]) * (1, 0.95)
         builder.add(extrude(grown, z1 - z0 - 0.012, z0 + 0.006), look.panel)
         for y in (-width / 4, width / 4):
             x = depth / 2 + bow - radius + float(np.sqrt(radius**2 - y**2)) + 0.01

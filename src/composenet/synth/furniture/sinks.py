@@ -292,9 +292,9 @@ def vessel(rng: Rng) -> Shape:
         if chance(rng, 0.6):
             builder.add(box((depth - leg, width - leg, 0.025), (0, 0, 0.2)), top)
     else:  # gables
-        high = counter - thick
+        size = (0.9 * depth, 0.05, counter - thick)
         for y in (0.03 - width / 2, width / 2 - 0.03):
-            builder.add(box((0.9 * depth, 0.05, high), (0, y, high / 2)), look.body)
+            builder.add(box(size, (0, y, size[2] / 2)), look.body)
     size_x = depth - float(rng.uniform(0.1, 0.16))
     size_y = min(size_x * float(rng.uniform(1.0, 1.6)), 0.8 * width)
     shift = depth / 2 - size_x / 2 - 0.02

@@ -1,0 +1,134 @@
+"""Procedural furniture: closed parts, centred boxes, real sizes, seeds, declared symmetry."""
+
+from __future__ import annotations
+
+import time
+
+import manifold3d as m3
+import numpy as np
+import pytest
+
+from composenet.records import CLASS_NAMES, Symmetry
+from composenet.synth.furniture import make_furniture, styles
+from composenet.synth.occupancy import occupancy
+from composenet.synth.shape import Shape
+
+CASES = [(name, style) for name in (*CLASS_NAMES, "clutter") for style in styles(name)]
+
+# low and high extents over x (depth), y (width), z (height), metres; doors may stand open
+SIZES = {
+    "bathtub": ((0.6, 1.0, 0.4), (2.0, 2.4, 2.1)),
+    "bed": ((1.1, 0.6, 0.35), (2.8, 3.0, 2.4)),
+    "bookshelf": ((0.15, 0.2, 0.5), (0.8, 2.1, 2.4)),
+    "cabinet": ((0.15, 0.3, 0.3), (1.4, 2.8, 2.6)),
+    "chair": ((0.3, 0.3, 0.5), (1.6, 1.3, 1.5)),
+    "desk": ((0.3, 0.6, 0.6), (2.2, 2.4, 1.8)),
+    "sink": ((0.25, 0.25, 0.7), (1.3, 2.0, 2.1)),
+    "sofa": ((0.5, 1.0, 0.5), (2.6, 3.8, 1.4)),
+    "table": ((0.3, 0.3, 0.25), (2.6, 3.2, 1.3)),
+    "toilet": ((0.45, 0.3, 0.5), (0.9, 1.0, 2.2)),
+}
+TURNS = {Symmetry.TWO: (180,), Symmetry.FOUR: (90, 180), Symmetry.INF: (30, 90, 180)}
+
+
+def shape_of(name: str, style: str, seed: int) -> Shape:
+    return make_furniture(name, np.random.default_rng(seed), style)
+
+
+def same(a: Shape, b: Shape) -> bool:
+    return (
+        np.array_equal(a.vertices, b.vertices)
+        and np.array_equal(a.faces, b.faces)
+        and a.materials == b.materials
+    )
+
+
+def turned_iou(shape: Shape, degrees: float, cells: int = 48) -> float:
+    """IoU of the shape's occupancy with itself turned about +Z."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    solid = occupancy(shape, cells)
+    axis = ((np.arange(cells) + 0.5) / cells - 0.5).astype(np.float64)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1) * shape.extents_m
+    back = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    index = np.floor((back / shape.extents_m + 0.5) * cells).astype(int)
+    inside = np.all((index >= 0) & (index < cells), axis=-1)
+    index = np.clip(index, 0, cells - 1)
+    turned = solid[index[..., 0], index[..., 1], index[..., 2]] & inside
+    return float((solid & turned).sum() / (solid | turned).sum())
+
+
+def test_every_class_has_at_least_four_styles() -> None:
+    assert all(len(styles(name)) >= 4 for name in CLASS_NAMES)
+    assert len(styles("cabinet")) >= 8
+
+
+@pytest.mark.parametrize(("name", "style"), CASES)
+def test_parts_are_closed_and_the_box_is_centred(name: str, style: str) -> None:
+    for seed in range(3):
+        shape = shape_of(name, style, seed)
+        assert (shape.class_name, shape.watertight) == (name, True)
+        assert len(shape.faces) <= 2500
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        np.testing.assert_allclose(low, -high, atol=1e-5)
+        for part in range(int(shape.face_part.max()) + 1):
+            faces = shape.faces[shape.face_part == part]
+            edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+            assert np.array_equal(  # each edge is walked once in each direction
+                edges[np.lexsort(edges.T)], edges[:, ::-1][np.lexsort(edges[:, ::-1].T)]
+            )
+            corners = shape.vertices[faces].astype(np.float64)
+            crosses = np.cross(corners[:, 1], corners[:, 2])
+            assert np.einsum("ij,ij->", corners[:, 0], crosses) > 0  # faces look outwards
+
+
+@pytest.mark.parametrize(("name", "style"), [case for case in CASES if case[0] in SIZES])
+def test_sizes_are_realistic(name: str, style: str) -> None:
+    low, high = SIZES[name]
+    for seed in range(20, 30):
+        extents = shape_of(name, style, seed).extents_m
+        assert np.all(extents >= low), (seed, extents)
+        assert np.all(extents <= high), (seed, extents)
+
+
+@pytest.mark.parametrize(("name", "style"), CASES)
+def test_a_seed_fixes_the_shape_and_another_changes_it(name: str, style: str) -> None:
+    assert same(shape_of(name, style, 7), shape_of(name, style, 7))
+    others = [shape_of(name, style, seed).extents_m for seed in range(6)]
+    assert len({tuple(np.round(extents, 4)) for extents in others}) == 6
+
+
+@pytest.mark.parametrize(("name", "style"), CASES)
+def test_declared_symmetry_is_true(name: str, style: str) -> None:
+    for seed in range(4):
+        shape = shape_of(name, style, seed)
+        for degrees in TURNS.get(shape.symmetry, ()):
+            if degrees in (30, 90):
+                assert abs(shape.extents_m[0] / shape.extents_m[1] - 1) < 0.02
+            assert turned_iou(shape, degrees) > 0.9, (seed, degrees)
+
+
+@pytest.mark.parametrize("name", ["bathtub", "sink", "toilet"])
+def test_vessels_are_hollow(name: str) -> None:
+    """Material is missing under the rim: the solid is well below its convex hull."""
+    for style in styles(name):
+        shape = shape_of(name, style, 3)
+        hull = m3.Manifold.hull_points(shape.vertices.astype(np.float64)).volume()
+        volume = occupancy(shape, 48).mean() * np.prod(shape.extents_m)
+        assert volume < (0.7 if name == "bathtub" else 0.93) * hull, style
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(KeyError):
+        make_furniture("piano", np.random.default_rng(0))
+    with pytest.raises(KeyError):
+        make_furniture("bed", np.random.default_rng(0), "hammock")
+
+
+def test_making_furniture_is_quick() -> None:
+    rng = np.random.default_rng(0)
+    seconds = []
+    for index in range(60):
+        begin = time.perf_counter()
+        make_furniture(CLASS_NAMES[index % 10], rng)
+        seconds.append(time.perf_counter() - begin)
+    assert np.median(seconds) < 0.03  # 3 ms on an idle core
