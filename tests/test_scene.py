@@ -1,0 +1,266 @@
+"""Scenes: repeatable, physically possible, with truth that agrees with the images."""
+
+from itertools import combinations
+from pathlib import Path
+
+import manifold3d as m3
+import numpy as np
+import pytest
+import trimesh
+
+from composenet.errors import DataError
+from composenet.records import (
+    Box,
+    ObjectFrameTruth,
+    ObjectTruth,
+    SequenceTruth,
+    Symmetry,
+)
+from composenet.synth import cad, stats
+from composenet.synth.scene import Scene, SceneOptions, generate_scene
+
+SHARED_CAD = Path(__file__).resolve().parents[2] / "shared" / "cad"
+SHORT = SceneOptions(frames=6)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    return [generate_scene("val", i) for i in range(8)]
+
+
+def floor_rectangle(scene: Scene, frame: int, slot: int) -> m3.CrossSection:
+    ex, ey, _ = scene.shapes[slot].extents_m
+    T = scene.T_world_shape[frame, slot]
+    corners = np.array([[-ex, -ey], [ex, -ey], [ex, ey], [-ex, ey]]) / 2
+    return m3.CrossSection([corners @ T[:2, :2].T + T[:2, 3]])
+
+
+def bottoms(scene: Scene, frame: int) -> np.ndarray:
+    heights = np.array([shape.extents_m[2] for shape in scene.shapes])
+    return scene.T_world_shape[frame, :, 2, 3] - heights / 2
+
+
+def test_a_scene_is_a_function_of_split_and_index() -> None:
+    a, b = generate_scene("test", 7, SHORT), generate_scene("test", 7, SHORT)
+    for i in (0, 3):
+        first, second = a.render(i), b.render(i)
+        np.testing.assert_array_equal(first.frame.depth_m, second.frame.depth_m)
+        np.testing.assert_array_equal(first.frame.color, second.frame.color)
+        np.testing.assert_array_equal(first.ids, second.ids)
+    other = generate_scene("train", 7, SHORT)
+    assert not np.array_equal(a.camera.K, other.camera.K)
+    assert not np.array_equal(a.camera.K, generate_scene("test", 8, SHORT).camera.K)
+
+
+@pytest.mark.parametrize(("split", "index"), [("dev", 0), ("train", -1)])
+def test_unknown_sequences_are_refused(split: str, index: int) -> None:
+    with pytest.raises(DataError, match="train/val/test"):
+        generate_scene(split, index)
+
+
+def test_what_a_room_holds(scenes: list[Scene]) -> None:
+    for scene in scenes:
+        furniture = np.count_nonzero(scene.gt_ids)
+        assert 3 <= furniture <= 9
+        assert len(scene.shapes) - 1 - furniture >= 3
+        ids = scene.gt_ids[scene.gt_ids > 0]
+        np.testing.assert_array_equal(ids, np.arange(1, furniture + 1))
+
+
+def test_nothing_interpenetrates_or_floats(scenes: list[Scene]) -> None:
+    for scene in scenes[:5]:
+        for frame in (0, 10, 29):
+            bottom = bottoms(scene, frame)[1:]
+            assert (bottom > -1e-4).all()
+            standing = 1 + np.flatnonzero(bottom < 1e-4)
+            rectangles = [floor_rectangle(scene, frame, int(k)) for k in standing]
+            for a, b in combinations(rectangles, 2):
+                assert (a ^ b).area() < 1e-6
+            # What does not stand on the floor stands on something below its centre.
+            for k in 1 + np.flatnonzero(bottom >= 1e-4):
+                at = m3.CrossSection.circle(0.005).translate(scene.T_world_shape[frame, k, :2, 3])
+                assert any((at ^ r).area() > 0 for r in rectangles)
+
+
+def test_motion_stays_on_the_ground_and_is_flagged(scenes: list[Scene]) -> None:
+    for scene in scenes:
+        T = scene.T_world_shape
+        np.testing.assert_array_equal(T[:, :, 2, 3], np.broadcast_to(T[0, :, 2, 3], T.shape[:2]))
+        np.testing.assert_allclose(T[..., 2, :3], np.broadcast_to([0, 0, 1.0], T[..., 2, :3].shape))
+        ids = scene.render(12, color=False).ids
+        moved = {
+            int(g)
+            for g, a, b in zip(scene.gt_ids, T[11], T[12], strict=True)
+            if g and not np.array_equal(a, b)
+        }
+        assert {o.gt_id for o in scene.frame_truth(12, ids) if o.moving} == moved
+        ever = (T[1:] != T[:-1]).any(axis=(0, 2, 3))
+        assert 1 <= np.count_nonzero(ever & (scene.gt_ids > 0)) <= 3
+
+
+def test_camera_is_held_by_a_person_in_the_room(scenes: list[Scene]) -> None:
+    for scene in scenes:
+        assert (np.abs(scene.T_world_camera[:, 2, 3] - 1.4) < 0.55).all()
+        np.testing.assert_allclose(np.linalg.det(scene.T_world_camera[:, :3, :3]), 1.0)
+        assert (scene.T_world_camera[:, 2, 1] < -0.5).all()  # image y points down
+        near = [scene.render(i, color=False, noise=False).clean_depth_m for i in (0, 15)]
+        assert all(np.median(depth[depth > 0]) > 0.5 for depth in near)
+
+
+def test_truth_agrees_with_the_image(scenes: list[Scene]) -> None:
+    scene = scenes[0]
+    rendered = scene.render(4)
+    truth = scene.frame_truth(4, rendered.ids)
+    seen = 0
+    for entry in truth:
+        assert entry.visible_pixels == np.count_nonzero(rendered.ids == entry.gt_id)
+        assert 0.0 <= entry.visible_fraction <= 1.0
+        assert (entry.visible_fraction > 0) == (entry.visible_pixels > 0)
+        points = scene.shape_of(entry.gt_id).vertices @ entry.T_world_object[:3, :3].T
+        points = points + entry.T_world_object[:3, 3]
+        np.testing.assert_allclose(entry.box.center - entry.box.extents / 2, points.min(axis=0))
+        np.testing.assert_allclose(entry.box.center + entry.box.extents / 2, points.max(axis=0))
+        v, u = np.nonzero(rendered.ids == entry.gt_id)
+        z = rendered.clean_depth_m[v, u].astype(float)
+        K = scene.camera.K
+        rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))])
+        world = scene.T_world_camera[4][:3, :3] @ (rays * z) + scene.T_world_camera[4][:3, 3:]
+        inside = np.abs(world.T - entry.box.center) <= entry.box.extents / 2 + 1e-3
+        assert inside.all()
+        seen += len(u) > 0
+    assert seen >= 1
+
+
+def test_object_truth_follows_the_conventions(scenes: list[Scene]) -> None:
+    scene = scenes[1]
+    truth = scene.object_truth(1)
+    assert truth is scene.objects[0]
+    assert truth.occupancy.shape == (64, 64, 64)
+    assert truth.occupancy.any(axis=(1, 2))[[0, -1]].all()
+    np.testing.assert_allclose(np.ptp(truth.hull, axis=0), truth.extents_m, rtol=1e-5)
+    np.testing.assert_allclose(truth.hull.min(axis=0), -truth.extents_m / 2, rtol=1e-4)
+    with pytest.raises(DataError, match="no object 99"):
+        scene.shape_of(99)
+
+
+def test_images_on_request() -> None:
+    scene = generate_scene("train", 3, SceneOptions(frames=3, image_size=(160, 120)))
+    plain = scene.render(1, color=False, noise=False)
+    assert plain.frame.color is None
+    np.testing.assert_array_equal(plain.frame.depth_m, plain.clean_depth_m)
+    noisy = scene.render(1)
+    assert noisy.frame.color is not None and noisy.frame.color.shape == (120, 160, 3)
+    assert not np.array_equal(noisy.frame.depth_m, noisy.clean_depth_m)
+    seen = noisy.frame.depth_m > 0
+    error = np.abs(noisy.frame.depth_m - noisy.clean_depth_m)[seen]
+    assert np.median(error) < 0.05
+
+
+def write_cad(folder: Path, class_name: str, mesh: trimesh.Trimesh) -> None:
+    (folder / class_name).mkdir(parents=True, exist_ok=True)
+    mesh.export(folder / class_name / "one.obj")
+
+
+def test_cad_axes_and_symmetry(tmp_path: Path) -> None:
+    """A long box in CAD axes: 2 m wide (x), 0.5 m high (y), 1 m deep (z)."""
+    write_cad(tmp_path, "desk", trimesh.creation.box([2.0, 0.5, 1.0]))
+    write_cad(tmp_path, "table", trimesh.creation.box([1.0, 0.5, 1.0]))
+    column = trimesh.creation.cylinder(0.5, 0.8, sections=64)
+    column.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    write_cad(tmp_path, "sink", column)
+    step = trimesh.util.concatenate(
+        [trimesh.creation.box([1, 1, 1]), trimesh.creation.box([1, 2, 0.3])]
+    )
+    step.apply_translation([0, 0, 0.35])
+    write_cad(tmp_path, "chair", step)
+    library = cad.load_library(tmp_path)
+    shapes = {name: cad.load_shape(files[0], name) for name, files in library.items()}
+    np.testing.assert_allclose(shapes["desk"].extents_m, [1.0, 2.0, 0.5], rtol=1e-5)
+    found = {name: shape.symmetry for name, shape in shapes.items()}
+    assert found["desk"] is Symmetry.TWO
+    assert found["table"] is Symmetry.FOUR
+    assert found["sink"] is Symmetry.INF
+    assert shapes["desk"].watertight
+
+
+def test_cad_front_becomes_x(tmp_path: Path) -> None:
+    wedge = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 3]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    )
+    write_cad(tmp_path, "sofa", wedge)
+    shape = cad.load_shape(tmp_path / "sofa" / "one.obj", "sofa")
+    assert shape.symmetry is Symmetry.NONE
+    tip = shape.vertices[np.argmax(shape.vertices[:, 0])]
+    np.testing.assert_allclose(tip, [1.5, -0.5, -0.5])
+
+
+def test_cad_folders_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such folder"):
+        generate_scene("train", 0, SceneOptions(cad_dir=tmp_path / "none"))
+    (tmp_path / "chairs").mkdir()
+    with pytest.raises(DataError, match="CLASS"):
+        generate_scene("train", 0, SceneOptions(cad_dir=tmp_path))
+    (tmp_path / "chair").mkdir()
+    (tmp_path / "chair" / "bad.obj").write_text("not a mesh")
+    with pytest.raises(DataError, match=r"bad\.obj"):
+        cad.load_shape(tmp_path / "chair" / "bad.obj", "chair")
+    write_cad(tmp_path, "bed", trimesh.creation.box([200, 50, 150]))
+    with pytest.raises(DataError, match="metres"):
+        cad.load_shape(tmp_path / "bed" / "one.obj", "bed")
+
+
+def test_cad_replaces_furniture() -> None:
+    if not SHARED_CAD.is_dir():
+        pytest.skip("no folder of CAD meshes beside the project")
+    scene = generate_scene("test", 0, SceneOptions(frames=3, cad_dir=SHARED_CAD, cad_share=1.0))
+    styles = [s.style for s, g in zip(scene.shapes, scene.gt_ids, strict=True) if g]
+    assert styles and all(style.startswith("cad:") for style in styles)
+    assert scene.render(0).ids.any()
+
+
+def hand_truth(visible: list[list[int]]) -> SequenceTruth:
+    """Two chairs; the second moves 10 cm and turns 5 degrees in the last frame."""
+    objects = tuple(
+        ObjectTruth(k, 4, Symmetry.NONE, np.ones(3), np.ones((64,) * 3, bool), np.zeros((4, 3)))
+        for k in (1, 2)
+    )
+    frames = []
+    for f, pixels in enumerate(visible):
+        last = f == len(visible) - 1
+        turned = np.eye(4)
+        if last:
+            c, s = np.cos(np.radians(5)), np.sin(np.radians(5))
+            turned[:2, :2], turned[0, 3] = [[c, -s], [s, c]], 0.1
+        frames.append(
+            tuple(
+                ObjectFrameTruth(
+                    k + 1,
+                    turned if k else np.eye(4),
+                    Box(np.zeros(3), np.ones(3)),
+                    pixels[k],
+                    0.4 if k else 0.9,
+                    bool(k and last),
+                )
+                for k in (0, 1)
+            )
+        )
+    return SequenceTruth(objects, tuple(frames))
+
+
+def test_difficulty_by_hand() -> None:
+    truth = hand_truth([[200, 200], [149, 200], [0, 0], [10, 200], [150, 200], [200, 200]])
+    cameras = np.tile(np.eye(4), (6, 1, 1))
+    cameras[:, 0, 3] = 0.07 * np.arange(6)
+    found = stats.difficulty(truth, cameras)
+    np.testing.assert_allclose(found.object_steps_m, [0.1])
+    np.testing.assert_allclose(found.object_steps_deg, [5.0])
+    np.testing.assert_allclose(found.camera_steps_m, 0.07)
+    assert (found.counted, found.hidden) == (3 + 5, 5)
+    assert (found.seen, found.returning) == (2, 1)  # the first is gone for three frames
+    assert found.class_ids == (4, 4)
+    lines = {line.quantity: line for line in stats.requirements([found])}
+    assert lines["moving objects: median step"].holds
+    assert not lines["camera: median step"].holds  # it never turns
+    assert lines["visible fraction under 0.5"].measured == "62.5 %"
+    assert lines["two objects of one class"].holds
+    assert not lines["tracks of the rarest class"].holds
