@@ -200,6 +200,7 @@ def test_replay_holds_every_entity(tmp_path: Path) -> None:
     assert mesh is not None
     stream.finish({1: mesh})
     store = chunk.RrdReader(str(path)).store()
+    assert [column.name for column in store.schema().index_columns()] == ["frame"]
     entities = set(store.schema().entity_paths())
     for name in ("camera", "camera/depth", "camera/color", "boxes", "tracks/1/mesh", "paths/2"):
         assert f"/world/{name}" in entities

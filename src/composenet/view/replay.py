@@ -59,7 +59,7 @@ def open_replay(path: Path, name: str) -> Replay:
 
 
 class RerunReplay:
-    """Writes an .rrd file while tracking. Timeline `frame`, entities below `world`.
+    """Writes an .rrd file while tracking. One timeline, `frame`.
 
     world/camera (colour, depth), world/boxes, world/tracks/ID (pose) with mesh below,
     world/paths/ID, states/ID.
@@ -71,8 +71,10 @@ class RerunReplay:
         import rerun
 
         self._rr = rerun
-        self._stream = rerun.RecordingStream("composenet", recording_id=None)
+        self._stream = rerun.RecordingStream("composenet")
         self._stream.save(path, default_blueprint=self._blueprint())
+        self._stream.set_log_time_enabled(False)
+        self._stream.set_log_tick_enabled(False)
         self._stream.send_recording_name(name)
         self._stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._paths: dict[str, deque[FloatArray]] = {}
@@ -84,8 +86,6 @@ class RerunReplay:
     def add_frame(self, frame: Frame, tracked: Sequence[TrackedObject]) -> None:
         """Log one frame and its tracks."""
         self._stream.set_time("frame", sequence=frame.index)
-        if frame.timestamp_s is not None:
-            self._stream.set_time("time", duration=frame.timestamp_s)
         self._log_camera(frame)
         alive = [entry for entry in tracked if entry.state is not TrackState.ENDED]
         self._log_boxes(alive)
@@ -106,7 +106,6 @@ class RerunReplay:
                 vertex_normals=mesh.vertex_normals.astype(np.float32),
                 albedo_factor=track_color(track_id).tolist(),
             )
-            self._stream.reset_time()
             self._stream.set_time("frame", sequence=self._first[track_id])
             self._stream.log(f"world/tracks/{track_id}/mesh", shape)
             if self._last[track_id] < max(self._last.values()):
@@ -150,6 +149,7 @@ class RerunReplay:
             ],
             colors=[track_color(entry.track_id) for entry in alive],
             labels=[f"{label_of(entry)} {100 * entry.confidence:.0f} %" for entry in alive],
+            fill_mode="MajorWireframe",
             radii=[0.012 if entry.observed else 0.004 for entry in alive],
         )
         self._stream.log("world/boxes", boxes)
