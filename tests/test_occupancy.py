@@ -88,9 +88,10 @@ def test_hollow_bowl_is_hollow() -> None:
 @pytest.mark.parametrize("name", ["chair", "bathtub", "cabinet", "sofa"])
 def test_agrees_with_the_slow_reference(name: str) -> None:
     shape = make_furniture(name, np.random.default_rng(5))
-    fast, slow = occupancy(shape, 32), reference(shape, 32)
-    assert (slow & ~fast).sum() < 0.04 * slow.sum()  # what fills half a cell is kept
-    assert iou(fast, slow) > 0.75  # thin parts add cells
+    fast = occupancy(shape, 16)
+    share = reference(shape, 48).reshape(16, 3, 16, 3, 16, 3).mean(axis=(1, 3, 5))
+    assert fast[share > 0.7].all()
+    assert (fast & (share == 0)).sum() < 0.1 * fast.sum()  # what is thin falls between samples
 
 
 @given(st.integers(0, 10_000))

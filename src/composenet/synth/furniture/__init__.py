@@ -3,45 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from importlib import import_module
-from importlib.util import find_spec
 
 import numpy as np
 
+from composenet.synth.furniture import (
+    bathtubs,
+    beds,
+    bookshelves,
+    cabinets,
+    chairs,
+    clutter,
+    desks,
+    sinks,
+    sofas,
+    tables,
+    toilets,
+)
 from composenet.synth.shape import Shape
 
-Builder = Callable[[np.random.Generator], Shape]
-
 _MODULES = (
-    "bathtubs",
-    "beds",
-    "bookshelves",
-    "cabinets",
-    "chairs",
-    "clutter",
-    "sinks",
-    "sofas",
-    "tables",
-    "toilets",
+    bathtubs,
+    beds,
+    bookshelves,
+    cabinets,
+    chairs,
+    clutter,
+    desks,
+    sinks,
+    sofas,
+    tables,
+    toilets,
 )
-
-
-@cache
-def _registry() -> dict[str, dict[str, Builder]]:
-    """class -> style -> builder, of all modules."""
-    registry: dict[str, dict[str, Builder]] = {}
-    for name in _MODULES:
-        if find_spec(f"{__name__}.{name}") is None:
-            continue
-        for class_name, builders in import_module(f"{__name__}.{name}").STYLES.items():
-            registry.setdefault(class_name, {}).update(builders)
-    return registry
+STYLES: dict[str, dict[str, Callable[[np.random.Generator], Shape]]] = {
+    class_name: builders for module in _MODULES for class_name, builders in module.STYLES.items()
+}
 
 
 def styles(class_name: str) -> tuple[str, ...]:
     """Names of a class's styles. Raises KeyError for an unknown class."""
-    return tuple(_registry()[class_name])
+    return tuple(STYLES[class_name])
 
 
 def make_furniture(class_name: str, rng: np.random.Generator, style: str | None = None) -> Shape:
@@ -50,6 +50,6 @@ def make_furniture(class_name: str, rng: np.random.Generator, style: str | None 
     style: one of styles(class_name), or None for a random one. Deterministic from rng.
     Raises KeyError for an unknown class or style.
     """
-    builders = _registry()[class_name]
+    builders = STYLES[class_name]
     chosen = str(rng.choice(list(builders))) if style is None else style
     return builders[chosen](rng)
