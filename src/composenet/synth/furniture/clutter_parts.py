@@ -99,7 +99,7 @@ def foliage(rng: Rng, root_z: float, height: float, spread: float) -> list[Solid
                 )
             )
         return arms
-    trunk = rod((0, 0, root_z - 0.05), (0, 0, root_z + height * 0.55), 0.018, 0.012)
+    trunk = rod((0, 0, root_z - 0.05), (0, 0, root_z + height * 0.55), 0.018, 0.014)
     if kind == 3:  # palm
         return [trunk] + [
             leaf(
@@ -117,7 +117,8 @@ def foliage(rng: Rng, root_z: float, height: float, spread: float) -> list[Solid
                 rng.normal((0, 0, root_z + height * 0.8), spread * 0.15), 2.0, 10)
         for _ in range(int(rng.integers(3, 7)))
     ]  # fmt: skip
-    return [trunk, *crown]
+    stem = rod((0, 0, root_z), (0, 0, root_z + height * 0.85), 0.018, 0.012)
+    return [stem, *crown]
 
 
 def shade(rng: Rng, radius: float, height: float, z: float) -> Solid:
