@@ -17,9 +17,9 @@ from composenet.config import Config, VolumeConfig
 from composenet.errors import DataError
 from composenet.geometry.transform import rotation_from_quaternion
 from composenet.output import OutputWriter, read_predictions
-from composenet.predictions import TEXT_HEADER
 from composenet.records import CLASS_NAMES, Track, TrackedObject, TrackState
 from composenet.timings import summarise_timings
+from composenet.tracks_file import TEXT_HEADER
 from fake_tracks import CAMERA, box_grid, make_frame, make_object
 
 FRAMES = 7

@@ -18,17 +18,15 @@ from composenet.config import Config
 from composenet.errors import DataError
 from composenet.predictions import (
     CANONICAL,
-    TEXT_HEADER,
     TRACKS_JSON,
     TRACKS_TXT,
     FrameRecord,
     PredictedSequence,
     read_predictions,
-    sequence_to_json,
-    text_line,
 )
 from composenet.records import Camera, Frame, Track, TrackedObject, TrackState
 from composenet.timings import summarise_timings
+from composenet.tracks_file import FrameText, frame_text, tracks_json, tracks_text
 from composenet.view.figures import ColoredMesh, overlay, track_color
 from composenet.view.meshes import canonical_mesh, last_observed, place, save_mesh, write_atomic
 from composenet.view.replay import NoReplay, open_replay
@@ -71,6 +69,7 @@ class OutputWriter:
             sequence_name, camera, (), {}, commit=commit, weights_id=weights_id, complete=False
         )
         self._frames: list[FrameRecord] = []
+        self._texts: list[FrameText] = []
         self._timings: list[dict[str, float]] = []
         self._class_ids: dict[int, int] = {}
         self._warnings: list[str] = []
@@ -120,6 +119,7 @@ class OutputWriter:
                 objects=tuple(tracked),
             )
         )
+        self._texts.append(frame_text(self._frames[-1]))
         self._timings.append(dict(timings_ms))
         self._class_ids.update({entry.track_id: entry.class_id for entry in tracked})
         self._keepsakes.offer(len(self._frames) - 1, frame)
@@ -145,6 +145,7 @@ class OutputWriter:
         }
         self._class_ids = {track.track_id: track.class_id for track in tracks if track.history}
         self._frames = _frames_of(self._frames, tracks)
+        self._texts = [frame_text(frame) for frame in self._frames]
         run = dataclasses.replace(self._snapshot(), canonical=canonical, complete=complete)
         placed = self._save_meshes(run, meshes)
         files = {track_id: f"meshes/track_{track_id}.ply" for track_id in placed}
@@ -166,12 +167,12 @@ class OutputWriter:
         )
 
     def _save(self, run: PredictedSequence) -> None:
-        lines = [text_line(entry) for frame in run.frames for entry in frame.objects]
-        write_atomic(self.out_dir / TRACKS_TXT, "\n".join([TEXT_HEADER, *lines, ""]).encode())
-        _write_json(self.out_dir / TRACKS_JSON, sequence_to_json(run))
+        write_atomic(self.out_dir / TRACKS_TXT, tracks_text(self._texts).encode())
+        write_atomic(self.out_dir / TRACKS_JSON, tracks_json(run, self._texts).encode())
         stages = summarise_timings(self._timings)
         table = {s.stage: {"median_ms": s.median_ms, "p95_ms": s.p95_ms, "n": s.n} for s in stages}
-        _write_json(self.out_dir / TIMINGS, {"schema": TIMINGS_SCHEMA, "stages": table})
+        text = json.dumps({"schema": TIMINGS_SCHEMA, "stages": table}, indent=2)
+        write_atomic(self.out_dir / TIMINGS, f"{text}\n".encode())
 
     def _save_meshes(
         self, run: PredictedSequence, meshes: Mapping[int, trimesh.Trimesh]
@@ -252,7 +253,3 @@ def _frames_of(frames: Sequence[FrameRecord], tracks: Sequence[Track]) -> list[F
         for entry in track.history:
             entries.setdefault(entry.frame_index, []).append(entry)
     return [dataclasses.replace(f, objects=tuple(entries.get(f.index, ()))) for f in frames]
-
-
-def _write_json(path: Path, data: object) -> None:
-    write_atomic(path, (json.dumps(data, allow_nan=False) + "\n").encode())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from composenet.errors import DataError
-from composenet.geometry.transform import quaternion_from_rotation, rotation_from_quaternion
+from composenet.geometry.transform import rotation_from_quaternion
 from composenet.records import (
     CLASS_NAMES,
     Box,
@@ -30,11 +30,6 @@ from composenet.records import (
 
 SCHEMA = "composenet.tracks/1"
 TRACKS_JSON, TRACKS_TXT, CANONICAL = "tracks.json", "tracks.txt", "canonical.npz"
-TEXT_HEADER = "frame,track_id,class,score,cx,cy,cz,ex,ey,ez,qw,qx,qy,qz,scale,state"
-AXES = (
-    "metres; world right-handed, z up; camera x right, y down, z forward; canonical axes "
-    "x front, y left, z up, box diagonal 1; p_world = scale * R(quaternion) @ p_canonical + t"
-)
 _T = TypeVar("_T")
 
 
@@ -89,27 +84,8 @@ class PredictedSequence:
         )
 
 
-def object_to_json(entry: TrackedObject) -> dict[str, Any]:
-    """One entry of `frames[].objects[]`."""
-    S = entry.S_world_canonical
-    return {
-        "id": int(entry.track_id),
-        "class": CLASS_NAMES[entry.class_id],
-        "state": entry.state.value,
-        "confidence": float(entry.confidence),
-        "observed": bool(entry.observed),
-        "box": {"center": _floats(entry.box.center), "extents": _floats(entry.box.extents)},
-        "S_world_canonical": {
-            "scale": float(S.scale_m),
-            "quaternion_wxyz": _floats(quaternion_from_rotation(S.R)),
-            "t": _floats(S.t),
-        },
-        "extents": _floats(entry.extents_m),
-    }
-
-
 def object_from_json(data: Mapping[str, Any], frame_index: int) -> TrackedObject:
-    """Inverse of object_to_json. Raises KeyError, TypeError or ValueError on a wrong entry."""
+    """One entry of `frames[].objects[]`. Raises KeyError, TypeError or ValueError."""
     S, box = data["S_world_canonical"], data["box"]
     return TrackedObject(
         track_id=int(data["id"]),
@@ -128,52 +104,9 @@ def object_from_json(data: Mapping[str, Any], frame_index: int) -> TrackedObject
     )
 
 
-def sequence_to_json(run: PredictedSequence) -> dict[str, Any]:
-    """The whole of tracks.json."""
-    K = np.asarray(run.camera.K, dtype=np.float64)
-    return {
-        "schema": SCHEMA,
-        "meta": {
-            "sequence": run.sequence,
-            "complete": run.complete,
-            "commit": run.commit,
-            "weights": run.weights_id,
-            "camera": {"K": K.tolist(), "width": run.camera.width, "height": run.camera.height},
-            "classes": list(CLASS_NAMES),
-            "axes": AXES,
-            "warnings": list(run.warnings),
-        },
-        "tracks": [_track_to_json(run, *item) for item in run.histories.items()],
-        "frames": [
-            {
-                "index": int(frame.index),
-                "name": frame.name,
-                "timestamp_s": None if frame.timestamp_s is None else float(frame.timestamp_s),
-                "T_world_camera": np.asarray(frame.T_world_camera, dtype=np.float64).tolist(),
-                "objects": [object_to_json(entry) for entry in frame.objects],
-            }
-            for frame in run.frames
-        ],
-    }
-
-
-def _track_to_json(
-    run: PredictedSequence, track_id: int, history: Sequence[TrackedObject]
-) -> dict[str, Any]:
-    ply = run.mesh_files.get(track_id)
-    return {
-        "id": int(track_id),
-        "class": CLASS_NAMES[run.class_ids[track_id]],
-        "first_frame": int(history[0].frame_index),
-        "last_frame": int(history[-1].frame_index),
-        "observed_frames": sum(entry.observed for entry in history),
-        "meshes": {"ply": ply, "glb": ply.removesuffix("ply") + "glb"} if ply else None,
-    }
-
-
 def sequence_from_json(data: Mapping[str, Any], where: Path) -> PredictedSequence:
-    """Inverse of sequence_to_json, without the canonical grids. Raises DataError naming the
-    file and the frame or field."""
+    """The content of tracks.json as a record, without the canonical grids. Raises DataError
+    naming the file and the frame or field."""
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         found = data.get("schema") if isinstance(data, dict) else type(data).__name__
         raise DataError(f"{where}: schema {found!r} instead of {SCHEMA!r}; run `track` again")
@@ -224,16 +157,6 @@ def _frame_from_json(frame: Mapping[str, Any]) -> FrameRecord:
         T_world_camera=_array(frame["T_world_camera"], (4, 4)),
         objects=tuple(object_from_json(entry, index) for entry in frame["objects"]),
     )
-
-
-def text_line(entry: TrackedObject) -> str:
-    """One line of tracks.txt, without its end."""
-    S = entry.S_world_canonical
-    quaternion = quaternion_from_rotation(S.R)
-    numbers = [*entry.box.center, *entry.box.extents, *quaternion, S.scale_m]
-    head = f"{entry.frame_index},{entry.track_id},{CLASS_NAMES[entry.class_id]}"
-    text = ",".join(f"{value:.6f}" for value in numbers)
-    return f"{head},{entry.confidence:.6f},{text},{entry.state.value}"
 
 
 def read_predictions(folder: Path) -> PredictedSequence:
@@ -287,7 +210,3 @@ def _array(values: Any, shape: int | tuple[int, ...]) -> FloatArray:
     if array.shape != wanted or not np.isfinite(array).all():
         raise ValueError(f"expected finite numbers of shape {wanted}, found {values}")
     return array
-
-
-def _floats(values: FloatArray) -> list[float]:
-    return [float(value) for value in values]

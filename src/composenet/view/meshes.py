@@ -14,6 +14,7 @@ from skimage.measure import marching_cubes
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from composenet.errors import DataError
 from composenet.records import FloatArray, Similarity, Track, TrackedObject
 
 LEVEL = 0.5
@@ -118,9 +119,15 @@ def _bytes(exported: object) -> bytes:
 
 
 def write_atomic(path: Path, data: bytes) -> Path:
-    """Write beside the target and rename over it, so that a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write beside the target and rename over it, so that a reader never sees half a file.
+
+    Raises DataError when that fails, for instance on a full disk.
+    """
     part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    part.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror})") from None
     return path

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import io
+import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 import trimesh
 from PIL import Image
+from rich.console import Console
 
+from composenet.errors import DataError
 from composenet.geometry.transform import quaternion_from_rotation
 from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, TrackState
 from composenet.view.figures import STATE_COLORS, label_of, track_color
@@ -56,6 +60,21 @@ def open_replay(path: Path, name: str) -> Replay:
     if importlib.util.find_spec("rerun") is None:
         return NoReplay(INSTALL_HINT)
     return RerunReplay(path, name)
+
+
+def serve_replay(path: Path, console: Console) -> None:
+    """Show an .rrd file in the web viewer until ctrl-C. Raises DataError without rerun."""
+    if importlib.util.find_spec("rerun") is None:
+        raise DataError("rerun is not installed: pip install 'composenet[viz]' adds it")
+    import rerun
+
+    stream = rerun.RecordingStream("composenet")
+    address = stream.serve_grpc()
+    stream.log_file_from_path(path)
+    rerun.serve_web_viewer(connect_to=address)
+    console.print("the viewer is at http://localhost:9090; ctrl-C ends it", highlight=False)
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
 
 
 class RerunReplay:
