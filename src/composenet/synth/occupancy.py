@@ -22,7 +22,7 @@ from composenet.synth.shape import Shape
 _RAYS = 2  # rays a cell and direction
 _RAYS_THIN = 6  # the same for rods thinner than about half a cell
 _THIN_SECTION = 0.6  # cells^2
-_JITTER = (0.0137 * np.sqrt(2), 0.0119 * np.sqrt(3))  # of a cell: rays avoid edges and vertices
+_JITTER0, _JITTER1 = 0.0137 * 2**0.5, 0.0119 * 3**0.5  # of the spacing: rays avoid edges
 _WINDING_CELLS = 48
 
 
@@ -44,16 +44,13 @@ def _solid_by_rays(
     for chosen, rays in ((faces[~thin], _RAYS), (faces[thin], _RAYS_THIN)):
         if len(chosen) == 0:
             continue
-        filled = np.zeros(solid.shape, dtype=np.float32)
-        for axis in range(3):  # rays along z, x, y: cyclic, so faces keep their orientation
-            order = np.roll((0, 1, 2), -axis)
-            fill, short = _cast(
-                np.ascontiguousarray(points[:, order]), chosen, cells, rays, *_JITTER
-            )
-            back = np.argsort(order)
-            filled += fill.transpose(back)
-            solid |= short.transpose(back)
-        solid |= filled >= 0.5 * 3
+        filled = np.zeros(cells**3, dtype=np.float32)
+        for axis in range(3):  # rays along x, y, z; cyclic, so faces keep their orientation
+            order = np.array([axis + 1, axis + 2, axis]) % 3
+            strides = np.array([cells * cells, cells, 1])[order]
+            corners = points[:, order][chosen]
+            _cast(corners, cells, rays, strides, filled, solid.reshape(-1))
+        solid |= filled.reshape(solid.shape) >= 0.5 * 3
     return solid
 
 
@@ -73,102 +70,110 @@ def _thin_parts(
 
 
 @njit(cache=True)
-def _cross_row(a, b, row):  # type: ignore[no-untyped-def]
-    """First coordinate where the edge a-b crosses the row; equal for b-a, to the last bit."""
-    if a[1] > b[1] or (a[1] == b[1] and a[0] > b[0]):
-        a, b = b, a
-    return a[0] + (row - a[1]) * (b[0] - a[0]) / (b[1] - a[1])
+def _crossing(a0, a1, b0, b1, row):  # type: ignore[no-untyped-def]
+    """First coordinate where the edge a-b crosses the row; the same for b-a to the last bit."""
+    if a1 > b1 or (a1 == b1 and a0 > b0):
+        a0, a1, b0, b1 = b0, b1, a0, a1
+    return a0 + (row - a1) * (b0 - a0) / (b1 - a1)
 
 
 @njit(cache=True)
-def _crossings(points, faces, side, spacing, shift0, shift1, start, height, turn):  # type: ignore[no-untyped-def]
-    """Crossings of the rays (side x side) with all faces: appended at start[column], which
-    advances; with empty height only counted. turn: +1 where a ray going up enters."""
-    write = len(height) > 0
-    for face in faces:
-        a, b, c = points[face[0]], points[face[1]], points[face[2]]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        normal = u0 * v1 - u1 * v0
+def _all_crossings(corners, side, spacing, shift0, shift1):  # type: ignore[no-untyped-def]
+    """Crossings of side * side rays with triangles (F, 3, 3). Returns for each the ray, the
+    height, and +1 where a ray going up enters, -1 where it leaves."""
+    room, count = 4 * side * side, 0
+    ray, height, turn = (
+        np.empty(room, np.int32),
+        np.empty(room, np.float32),
+        np.empty(room, np.int8),
+    )
+    for f in range(len(corners)):
+        a0, a1, a2 = corners[f, 0]
+        b0, b1, b2 = corners[f, 1]
+        c0, c1, c2 = corners[f, 2]
+        normal = (b0 - a0) * (c1 - a1) - (b1 - a1) * (c0 - a0)
         if normal == 0.0:
             continue
-        slope0, slope1 = (u2 * v1 - u1 * v2) / normal, (u0 * v2 - u2 * v0) / normal
-        bottom, top = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
-        first = max(int(np.ceil((min(a[1], b[1], c[1]) - shift1) / spacing)), 0)
-        last = min(int(np.floor((max(a[1], b[1], c[1]) - shift1) / spacing)), side - 1)
+        slope0 = ((b2 - a2) * (c1 - a1) - (b1 - a1) * (c2 - a2)) / normal
+        slope1 = ((b0 - a0) * (c2 - a2) - (b2 - a2) * (c0 - a0)) / normal
+        bottom, top = min(a2, b2, c2), max(a2, b2, c2)
+        first = max(int(np.ceil((min(a1, b1, c1) - shift1) / spacing)), 0)
+        last = min(int(np.floor((max(a1, b1, c1) - shift1) / spacing)), side - 1)
         for j in range(first, last + 1):
             row = shift1 + j * spacing
             near, far = np.inf, -np.inf
-            for p, q in ((a, b), (b, c), (c, a)):
-                if (p[1] <= row) != (q[1] <= row):
-                    x = _cross_row(p, q, row)
-                    near, far = min(near, x), max(far, x)
-            if near > far:
+            if (a1 <= row) != (b1 <= row):
+                x = _crossing(a0, a1, b0, b1, row)
+                near, far = min(near, x), max(far, x)
+            if (b1 <= row) != (c1 <= row):
+                x = _crossing(b0, b1, c0, c1, row)
+                near, far = min(near, x), max(far, x)
+            if (c1 <= row) != (a1 <= row):
+                x = _crossing(c0, c1, a0, a1, row)
+                near, far = min(near, x), max(far, x)
+            if near >= far:
                 continue
-            i = max(int(np.ceil((near - shift0) / spacing)), 0)
-            while i < side and shift0 + i * spacing < far:
+            if count + side > room:
+                room *= 2
+                ray = np.append(ray, np.empty_like(ray))
+                height = np.append(height, np.empty_like(height))
+                turn = np.append(turn, np.empty_like(turn))
+            for i in range(max(int(np.ceil((near - shift0) / spacing)), 0), side):
                 x = shift0 + i * spacing
-                column = i * side + j
-                if write:
-                    z = a[2] + slope0 * (x - a[0]) + slope1 * (row - a[1])
-                    height[start[column]] = min(max(z, bottom), top)
-                    turn[start[column]] = -1 if normal > 0 else 1
-                start[column] += 1
-                i += 1
+                if x >= far:
+                    break
+                z = a2 + slope0 * (x - a0) + slope1 * (row - a1)
+                ray[count] = i * side + j
+                height[count] = min(max(z, bottom), top)
+                turn[count] = -1 if normal > 0 else 1
+                count += 1
+    return ray[:count], height[:count], turn[:count]
 
 
 @njit(cache=True)
-def _fill_stretch(low, high, cells, share, fill, short):  # type: ignore[no-untyped-def]
-    """Add one inside stretch of a ray to its cells (cells,)."""
+def _fill_stretch(low, high, cells, share, base, step, filled, solid):  # type: ignore[no-untyped-def]
+    """Add one inside stretch of a ray to the cells base + k * step."""
     low, high = max(low, 0.0), min(high, float(cells))
     if high <= low:
         return
-    first, last = int(low), min(int(high), cells - 1)
     enough = False
-    for k in range(first, last + 1):
+    for k in range(int(low), min(int(high), cells - 1) + 1):
         overlap = min(high, k + 1.0) - max(low, float(k))
-        fill[k] += share * overlap
+        filled[base + k * step] += share * overlap
         enough = enough or overlap >= 0.5
     if not enough:
-        short[min(int((low + high) / 2), cells - 1)] = True
+        solid[base + min(int((low + high) / 2), cells - 1) * step] = True
 
 
 @njit(cache=True)
-def _cast(points, faces, cells, rays, shift0, shift1):  # type: ignore[no-untyped-def]
-    """Rays along the last axis. points: cell units. Returns the inside share of each cell
-    (cells,)*3 float32 and the cells of short stretches (cells,)*3 bool."""
+def _cast(corners, cells, rays, strides, filled, solid):  # type: ignore[no-untyped-def]
+    """Rays along the last coordinate of the triangles (F, 3, 3), in cell units. Adds the inside
+    share of each cell to filled (cells^3,), and marks the cells of short stretches in solid;
+    strides (3,): how far apart neighbours along the three coordinates lie there."""
     side, spacing, share = cells * rays, 1.0 / rays, 1.0 / (rays * rays)
-    shift0, shift1 = spacing / 2 + shift0 / rays, spacing / 2 + shift1 / rays
-    ends = np.zeros(side * side, np.int64)
-    none_height, none_turn = np.empty(0, np.float32), np.empty(0, np.int8)
-    _crossings(points, faces, side, spacing, shift0, shift1, ends, none_height, none_turn)
-    total = 0
-    for column in range(side * side):
-        total, ends[column] = total + ends[column], total
-    height, turn = np.empty(total, np.float32), np.empty(total, np.int8)
-    if total > 0:
-        _crossings(points, faces, side, spacing, shift0, shift1, ends, height, turn)
-    fill = np.zeros((cells, cells, cells), np.float32)
-    short = np.zeros((cells, cells, cells), np.bool_)
-    begin = 0
-    for column in range(side * side):
-        end = ends[column]
-        i, j = column // side // rays, column % side // rays
-        for k in range(begin + 1, end):  # insertion sort: a few crossings a ray
-            h, t, m = height[k], turn[k], k - 1
-            while m >= begin and height[m] > h:
-                height[m + 1], turn[m + 1] = height[m], turn[m]
-                m -= 1
-            height[m + 1], turn[m + 1] = h, t
+    shift0, shift1 = (0.5 + _JITTER0) * spacing, (0.5 + _JITTER1) * spacing
+    ray, z, turn = _all_crossings(corners, side, spacing, shift0, shift1)
+    end = np.zeros(side * side + 1, np.int64)
+    for r in ray:
+        end[r + 1] += 1
+    end = np.cumsum(end)
+    order, place = np.empty(len(ray), np.int64), end.copy()
+    for n in range(len(ray)):  # insertion sort within each ray: few crossings
+        slot = place[ray[n]]
+        place[ray[n]] += 1
+        while slot > end[ray[n]] and z[order[slot - 1]] > z[n]:
+            order[slot] = order[slot - 1]
+            slot -= 1
+        order[slot] = n
+    for r in range(side * side):
+        base = (r // side // rays) * strides[0] + (r % side // rays) * strides[1]
         winding, entered = 0, 0.0
-        for k in range(begin, end):
-            before, winding = winding, winding + turn[k]
+        for n in order[end[r] : end[r + 1]]:
+            before, winding = winding, winding + turn[n]
             if before <= 0 < winding:
-                entered = height[k]
+                entered = z[n]
             elif winding <= 0 < before:
-                _fill_stretch(entered, height[k], cells, share, fill[i, j], short[i, j])
-        begin = end
-    return fill, short
+                _fill_stretch(entered, z[n], cells, share, base, strides[2], filled, solid)
 
 
 def _solid_by_winding(
