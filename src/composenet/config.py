@@ -27,7 +27,7 @@ class VolumeConfig:
 
     voxel_size_m: Positive = 0.05
     """edge of a surface voxel, metres"""
-    max_depth_m: Positive = 7.0
+    max_depth_m: Positive = 5.5
     """depth beyond this is dropped"""
     truncation_m: Positive = 0.15
     """truncation of the signed distance field"""

@@ -38,7 +38,7 @@ class ObjectTracker:
 
     def __init__(self, network: ComposeNet, config: Config, device: torch.device) -> None:
         self.network, self.config, self.device = network, config, device
-        self._tracker = Tracker(config.tracking)
+        self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame."""

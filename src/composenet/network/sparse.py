@@ -61,13 +61,26 @@ def build_pyramid(coords: Tensor, batch_size: int, n_levels: int) -> tuple[Level
         parent = octant = coords.new_empty(0)
         coarse = coords
         if index + 1 < n_levels:
-            halved = torch.cat([coords[:, :1], coords[:, 1:] // 2], dim=1)
-            coarse, parent = torch.unique(halved, dim=0, return_inverse=True)
+            coarse, parent = _unique_rows(torch.cat([coords[:, :1], coords[:, 1:] // 2], dim=1))
             odd = coords[:, 1:] % 2
             octant = odd[:, 0] * 4 + odd[:, 1] * 2 + odd[:, 2]
         levels.append(Level(coords, table, pairs, parent, octant))
         coords = coarse
     return tuple(levels)
+
+
+def _unique_rows(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Sorted unique rows (N, 4) and each row's place, through one integer key a row."""
+    base = rows.amax(dim=0) + 1 if len(rows) else rows.new_ones(4)
+    key = rows[:, 0]
+    for axis in range(1, 4):
+        key = key * base[axis] + rows[:, axis]
+    unique, place = torch.unique(key, return_inverse=True)
+    columns = []
+    for axis in (3, 2, 1):
+        columns.append(unique % base[axis])
+        unique = torch.div(unique, base[axis], rounding_mode="floor")
+    return torch.stack([unique, *columns[::-1]], dim=1), place
 
 
 def _pairs(table: Tensor) -> tuple[tuple[Tensor, Tensor], ...]:
@@ -90,7 +103,9 @@ class _PairwiseConv(torch.autograd.Function):
         out = features @ weight[13]
         for k, (rows_out, rows_in) in enumerate(level.pairs):
             if k != 13 and len(rows_out):
-                part = torch.addmm(out[rows_out], features[rows_in], weight[k])
+                part = torch.addmm(
+                    out.index_select(0, rows_out), features.index_select(0, rows_in), weight[k]
+                )
                 out.index_copy_(0, rows_out, part)
         return out
 
@@ -103,9 +118,9 @@ class _PairwiseConv(torch.autograd.Function):
             if k == 13:
                 torch.mm(features.T, grad, out=grad_weight[13])
                 continue
-            grad_part = grad[rows_out]
-            torch.mm(features[rows_in].T, grad_part, out=grad_weight[k])
-            part = torch.addmm(grad_features[rows_in], grad_part, weight[k].T)
+            grad_part = grad.index_select(0, rows_out)
+            torch.mm(features.index_select(0, rows_in).T, grad_part, out=grad_weight[k])
+            part = torch.addmm(grad_features.index_select(0, rows_in), grad_part, weight[k].T)
             grad_features.index_copy_(0, rows_in, part)
         return grad_features, grad_weight, None
 

@@ -45,10 +45,10 @@ class TrainingConfig:
     """[paper]"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    joint_from_step: Annotated[int, Field(ge=0)] = 3000
+    joint_from_step: Annotated[int, Field(ge=0)] = 2500
     """until then the object network learns on jittered true boxes with the features held fixed,
     afterwards end to end and on the detector's own proposals too (the paper's two stages)"""
-    max_boxes: Count = 8
+    max_boxes: Count = 7
     """crops a frame (paper: up to 10 proposals)"""
     gradient_clip: Positive = 5.0
     ema_decay: Share = 0.999

@@ -12,6 +12,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 from composenet.records import Camera, Frame
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 from composenet.training.config import TrainingConfig
+from composenet.training.disk import DiskScene, disk_scene
 from composenet.training.targets import Sample, TrainingBatch, collate_samples, make_sample
 from composenet.volume.voxels import voxelize
 
@@ -23,17 +24,19 @@ class SceneSource:
     split: str = "train"
     cad_dir: Path | None = None
     cad_share: float = 0.5
-    first: int = 0
-    """index of the first scene"""
+    data_dir: Path | None = None
+    """sequences on disk instead, all of them, over and over"""
 
-    def scene(self, index: int) -> Scene:
-        """Scene `first + index` of the split."""
+    def scene(self, index: int) -> Scene | DiskScene:
+        """Scene `index`."""
+        if self.data_dir is not None:
+            return disk_scene(self.data_dir, index)
         options = SceneOptions(cad_dir=self.cad_dir, cad_share=self.cad_share)
-        return generate_scene(self.split, self.first + index, options)
+        return generate_scene(self.split, index, options)
 
 
 def samples_of_scene(
-    scene: Scene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
+    scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
     """frames_per_scene samples at random times, each with a slightly wrong floor height."""
     chosen = rng.choice(scene.n_frames, config.frames_per_scene, replace=False)

@@ -16,7 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
-from composenet.network.weights import save_weights
+from composenet.network.weights import load_weights, save_weights
 from composenet.training.checkpoint import Progress, load_checkpoint, save_checkpoint
 from composenet.training.config import TrainingConfig
 from composenet.training.data import SceneSource, SceneStream, fixed_batches
@@ -38,6 +38,8 @@ class RunOptions:
     save_every_minutes: float = 5.0
     validate_every_minutes: float = 15.0
     validation_scenes: int = 8
+    start_from: Path | None = None
+    """weights to begin a new run from"""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,9 @@ class Trainer:
         self.config = config
         self.progress = resumed["progress"] if resumed else Progress()
         self.module = LossModule(config).to(group.device)
+        if options.start_from and not resumed:
+            start, _, _ = load_weights(options.start_from)
+            self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
             self.module.network, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay),
             use_buffers=True,
@@ -190,7 +195,7 @@ def _run(trainer: Trainer, options: RunOptions, source: SceneSource, log: _Log) 
     stop, start = _StopRequest(), time.monotonic()
     progress, seconds_before = trainer.progress, trainer.progress.seconds
     validation = fixed_batches(
-        SceneSource("val", source.cad_dir, source.cad_share),
+        SceneSource("val", source.cad_dir, source.cad_share, source.data_dir),
         trainer.config,
         options.validation_scenes,
     )

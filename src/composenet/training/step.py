@@ -15,6 +15,9 @@ from composenet.training.proposals import training_crops
 from composenet.training.targets import TrainingBatch
 
 
+POSE_LOSSES = ("rotation", "scale", "translation")
+
+
 class LossModule(nn.Module):
     """The network with its losses, so that one forward serves one process or many."""
 
@@ -38,6 +41,8 @@ class LossModule(nn.Module):
         features = fields.features if joint else fields.features.detach()
         objects = self.network.object_fields(features, batch.volume, boxes.crops)
         more, errors = object_losses(objects, batch, boxes)
+        if not joint:  # correspondences must make sense before a pose is fitted to them
+            more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
         return losses | more, errors
 
 

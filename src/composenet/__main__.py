@@ -1,0 +1,5 @@
+"""`python -m composenet`."""
+
+from composenet.cli import main
+
+main()

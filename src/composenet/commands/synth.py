@@ -1,0 +1,43 @@
+"""`composenet synth`: write sequences of the generator, or print how hard they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+
+def run_synth(
+    out: Path | None,
+    *,
+    split: str,
+    count: int,
+    start: int,
+    cad: Path | None,
+    cad_share: float,
+    image_size: tuple[int, int],
+    frames: int,
+    stats: bool,
+    workers: int,
+) -> int:
+    """The command."""
+    from composenet.errors import DataError
+    from composenet.synth.dataset import measure_split, write_split
+    from composenet.synth.scene import SceneOptions
+    from composenet.synth.stats import as_table, class_counts, requirements
+
+    console = Console()
+    if out is None and not stats:
+        raise DataError("nothing to do: give --out DIR to write sequences, or --stats")
+    options = SceneOptions(
+        frames=frames, image_size=image_size, cad_dir=cad, cad_share=cad_share
+    )
+    if out is not None:
+        folders = write_split(split, count, out, start, options, workers)
+        console.print(f"{len(folders)} sequences in {out}", highlight=False)
+    if stats:
+        measured = measure_split(split, count, start, options, workers)
+        console.print(as_table(requirements(measured)))
+        counts = class_counts(measured)
+        console.print("tracks: " + ", ".join(f"{n} {c}" for n, c in counts.items()))
+    return 0

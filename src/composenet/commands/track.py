@@ -1,0 +1,131 @@
+"""`composenet track`: a recording to completed, posed, tracked objects."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from composenet.predictions import PredictedSequence
+from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
+
+if TYPE_CHECKING:
+    from composenet.pipeline import ObjectTracker
+
+INTERRUPTED_EXIT_CODE = 130
+
+
+def track_recording(
+    sequence: RecordedSequence,
+    tracker: ObjectTracker,
+    out: Path,
+    console: Console,
+    *,
+    save_every: int = 50,
+    weights_id: str = "",
+) -> PredictedSequence:
+    """Track every frame and write the result folder; ctrl-C keeps what is done."""
+    from composenet.metrics.report import source_commit
+    from composenet.output import OutputWriter
+
+    writer = OutputWriter(
+        out,
+        sequence.name,
+        sequence.camera,
+        tracker.config,
+        commit=source_commit(),
+        weights_id=weights_id,
+        save_every=save_every,
+    )
+    with writer, _interruptible() as stop, _progress(console) as progress:
+        task = progress.add_task(sequence.name, total=len(sequence), note="")
+        seconds = 0.0
+        for done, frame in enumerate(sequence, start=1):
+            result = tracker(frame)
+            writer.add_frame(frame, result.objects, result.timings_ms)
+            seconds += sum(result.timings_ms.values()) / 1e3
+            note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
+            progress.update(task, advance=1, note=note)
+            if stop:
+                break
+        for line in sequence.warnings:
+            writer.warn(line)
+        progress.update(task, note="writing meshes and report")
+        return writer.finish(tracker.tracks(), complete=not stop)
+
+
+def run_track(
+    recording: Path,
+    out: Path,
+    *,
+    weights: Path | None,
+    device: str,
+    stride: int,
+    max_frames: int | None,
+    save_every: int,
+    variant: dict[str, object],
+    reading: SequenceOptions,
+) -> int:
+    """The command. Returns the exit code."""
+    console = Console()
+    sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
+    from composenet.pipeline import load_tracker
+
+    tracker = load_tracker(weights, device=device, **variant)
+    name = weights.name if weights else "default"
+    run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
+    for line in run.warnings:
+        console.print(f"[yellow]warning[/] {line}", highlight=False)
+    console.print(summary(run, out), highlight=False)
+    return 0 if run.complete else INTERRUPTED_EXIT_CODE
+
+
+def summary(run: PredictedSequence, out: Path) -> str:
+    """One line on what was found and where to look."""
+    state = "" if run.complete else " (interrupted: what was done is kept)"
+    return (
+        f"{len(run.class_ids)} tracks in {len(run.frames)} frames{state}; "
+        f"open {out / 'report.html'}"
+    )
+
+
+@contextmanager
+def _interruptible() -> Iterator[list[bool]]:
+    """A list that fills when ctrl-C is pressed, so that the frame under way is finished; a
+    second ctrl-C stops at once."""
+    asked: list[bool] = []
+
+    def ask(*_: object) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(True)
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=console,
+    )

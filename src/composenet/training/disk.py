@@ -1,0 +1,61 @@
+"""Sequences written by `composenet synth`, with the interface of a generated scene."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from composenet.errors import DataError
+from composenet.records import Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
+from composenet.synth.dataset import read_truth
+from composenet.synth.scene import RenderedFrame
+
+
+class DiskScene:
+    """One sequence folder. Reads a frame when asked for it. Raises DataError."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def truth(self) -> SequenceTruth:
+        """All of the ground truth."""
+        return read_truth(self.folder)
+
+    @property
+    def n_frames(self) -> int:
+        """Length of the sequence."""
+        return len(self.truth.frames)
+
+    def render(self, i: int, *, color: bool = False) -> RenderedFrame:
+        """Frame i as it was written (colour is not read: the network does not use it)."""
+        try:
+            depth_m = np.asarray(Image.open(self.folder / "depth" / f"{i}.png")) / np.float32(1000)
+            ids = np.asarray(Image.open(self.folder / "instance" / f"{i}.png")).astype(np.uint16)
+            T_world_camera = np.loadtxt(self.folder / "pose" / f"{i}.txt")
+            K = np.loadtxt(self.folder / "intrinsic" / "intrinsic_depth.txt")[:3, :3]
+        except (OSError, ValueError) as error:
+            raise DataError(f"{self.folder}, frame {i}: cannot be read ({error})") from None
+        camera = Camera(K, depth_m.shape[1], depth_m.shape[0])
+        frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera)
+        return RenderedFrame(frame, ids, frame.depth_m)
+
+    def frame_truth(self, i: int, ids: NDArray[np.uint16]) -> tuple[ObjectFrameTruth, ...]:
+        """Ground truth of frame i."""
+        return self.truth.frames[i]
+
+    def object_truth(self, gt_id: int) -> ObjectTruth:
+        """Ground truth of one object."""
+        return next(item for item in self.truth.objects if item.gt_id == gt_id)
+
+
+def disk_scene(data_dir: Path, index: int) -> DiskScene:
+    """Sequence `index` of a folder, endlessly repeated. Raises DataError for an empty folder."""
+    folders = sorted(path.parent for path in data_dir.glob("*/annotations.json"))
+    if not folders:
+        raise DataError(f"{data_dir}: no sequences here; write some with `composenet synth`")
+    return DiskScene(folders[index % len(folders)])
