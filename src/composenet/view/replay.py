@@ -68,7 +68,7 @@ def serve_replay(path: Path, console: Console) -> None:
         raise DataError("rerun is not installed: pip install 'composenet[viz]' adds it")
     import rerun
 
-    stream = rerun.RecordingStream("composenet")
+    stream = rerun.RecordingStream("composenet", send_properties=False)
     address = stream.serve_grpc()
     stream.log_file_from_path(path)
     rerun.serve_web_viewer(connect_to=address)
