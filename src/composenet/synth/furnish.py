@@ -32,6 +32,7 @@ def furnish(rng: np.random.Generator, make: MakeShape) -> Layout:
         size = rng.uniform(*ROOM_KINDS[kind][1], 2)
         layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng)
         _PROGRAMMES[kind](layout, make)
+        _fill(layout, make, kind)
         pieces = [i for i, item in enumerate(layout.items) if item.shape.class_name != "clutter"]
         if len(pieces) < MIN_FURNITURE:
             continue
@@ -141,6 +142,23 @@ def _office(layout: Layout, make: MakeShape) -> None:
     if layout.rng.random() < 0.3:
         _add(layout, make, "sofa")
 
+
+def _fill(layout: Layout, make: MakeShape, kind: str) -> None:
+    """More of the room's own furniture where its floor is large."""
+    floor_m2 = layout.room.size_m[0] * layout.room.size_m[1]
+    wanted = min(MAX_FURNITURE, int(floor_m2 / layout.rng.uniform(3.0, 6.0)))
+    for _ in range(wanted - len(layout.items)):
+        _add(layout, make, str(layout.rng.choice(_MORE[kind])))
+
+
+_MORE = {
+    "living": ("sofa", "bookshelf", "cabinet", "chair", "table"),
+    "bedroom": ("bed", "cabinet", "bookshelf", "desk", "sofa"),
+    "bathroom": ("bathtub", "sink", "toilet", "cabinet"),
+    "dining": ("table", "chair", "cabinet", "sink", "sofa"),
+    "office": ("desk", "bookshelf", "cabinet", "table", "sofa"),
+    "mixed": CLASS_NAMES,
+}
 
 # Classes that other rooms hold often stand here seldom.
 _MIXED = {"chair": 0.5, "cabinet": 0.5, "bathtub": 1.2, "desk": 1.3, "sofa": 1.4}

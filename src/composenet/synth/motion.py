@@ -235,7 +235,7 @@ def _gaze(
     for f in range(frames):
         dx, dy = paths[f, target, :2] - position[f]
         distance = float(np.hypot(dx, dy))
-        if rng.random() < (0.5 if distance < 1.0 else 0.06):
+        if rng.random() < (0.5 if distance < 1.0 else 0.04):
             target = _best_view(layout, paths[f], position[f], half_view)[2]
         wanted = np.arctan2(dy, dx) + sweep * np.sin(2 * np.pi * f / period + phase) + away[f]
         yaw_now += float(np.clip(0.7 * _wrap(wanted - yaw_now), -rate, rate))
@@ -248,9 +248,9 @@ def _gaze(
 def _excursions(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
     """(F,) radians looked aside: one or two pans away for some frames."""
     away = np.zeros(frames)
-    for _ in range(1 + int(rng.random() < 0.15)):
+    for _ in range(1 + int(rng.random() < 0.1)):
         start = int(rng.integers(3, max(4, frames - 10)))
-        side = rng.choice([-1, 1]) * np.radians(rng.uniform(45, 100))
+        side = rng.choice([-1, 1]) * np.radians(rng.uniform(45, 90))
         away[start : start + int(rng.integers(4, 9))] = side
     return away
 

@@ -59,7 +59,7 @@ def sample_sensor(rng: np.random.Generator) -> Sensor:
         disparity_step_px=float(rng.choice([1 / 16, 1 / 8])),
         disparity_noise_px=float(rng.uniform(0.01, 0.06)),
         phase_noise=float(rng.uniform(0.001, 0.003)),
-        lateral_px=float(rng.uniform(0.2, 0.7)),
+        lateral_px=float(rng.uniform(0.3, 0.7)),
         grazing_cosine=float(rng.uniform(0.08, 0.2)),
         loss=float(rng.uniform(0.1, 0.8)),
         edge_loss=float(rng.uniform(0.1, 0.7)),
@@ -80,8 +80,9 @@ def measure(
     brightness and shininess (render.surface). Returns (H, W) float32 metres, 0 = no depth.
     """
     height, width = clean_depth_m.shape
-    noise = rng.standard_normal((3, height, width), dtype=np.float32)
-    chance = rng.random((height, width), dtype=np.float32)
+    noise = rng.standard_normal((height, width), dtype=np.float32)
+    chance, right, down = rng.random((3, height, width), dtype=np.float32)
+    spread = float(np.sqrt(12.0)) * sensor.lateral_px  # of even noise with that deviation
     patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
     warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
     focal = float(camera.K[0, 0])
@@ -96,13 +97,14 @@ def measure(
         lit,
         noise,
         chance,
+        spread * (right - 0.5),
+        spread * (down - 0.5),
         patches,
         warps,
         light,
         sensor.range_m,
         (focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
         sensor.phase_noise,
-        sensor.lateral_px,
         (sensor.grazing_cosine, sensor.loss, sensor.edge_loss),
     )
     return as_stored(depth)
@@ -163,13 +165,14 @@ def _measure(  # type: ignore[no-untyped-def]
     lit,
     noise,
     chance,
+    right,
+    down,
     patches,
     warps,
     light,
     limits,
     stereo,
     phase,
-    lateral,
     losses,
 ):
     height, width = clean.shape
@@ -179,8 +182,8 @@ def _measure(  # type: ignore[no-untyped-def]
     for v in range(height):
         for u in range(width):
             # The same jitter decides depth and surface, so edges wander as a whole.
-            i = min(max(int(np.rint(v + lateral * noise[0, v, u])), 0), height - 1)
-            j = min(max(int(np.rint(u + lateral * noise[1, v, u])), 0), width - 1)
+            i = min(max(int(np.rint(v + down[v, u])), 0), height - 1)
+            j = min(max(int(np.rint(u + right[v, u])), 0), width - 1)
             z = clean[i, j]
             if z < limits[0] or z > limits[1] or not lit[i, j]:
                 continue
@@ -198,14 +201,14 @@ def _measure(  # type: ignore[no-untyped-def]
             z *= 1 + _bilinear(warps, v / height * 2.99, u / width * 3.99)
             if light:
                 spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
-                disparity = focal_baseline / z + spread * noise[2, v, u]
+                disparity = focal_baseline / z + spread * noise[v, u]
                 # Finer steps than the quantum arise where neighbouring windows disagree.
                 disparity = np.rint(disparity / step_px + 0.5 * (chance[v, u] - 0.5)) * step_px
                 z = focal_baseline / disparity if disparity > 0 else 0.0
             else:
                 if step > 0.04 and other > 0 and chance[v, u] > 0.5:
                     z += (other - z) * (chance[v, u] - 0.5) * 2
-                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * noise[2, v, u]
+                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * noise[v, u]
             if limits[0] <= z <= limits[1]:
                 out[v, u] = z
     return out
