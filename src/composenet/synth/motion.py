@@ -182,7 +182,13 @@ def _stroll(
             break
     spots = spots[:10] or [size / 2]
     position = np.empty((len(paths), 2))
-    rated = sorted(spots, key=lambda s: -_best_view(layout, paths[0], s, half_view)[0])
+    in_view = _free_places(layout, paths, 0.05, eye - 0.4)
+
+    def rating(at: NDArray[np.float64]) -> float:
+        score, yaw, _ = _best_view(layout, paths[0], at, half_view)
+        return score - (2.0 if _clearance_m(in_view, at, yaw, 0) < 1.0 else 0.0)
+
+    rated = sorted(spots, key=rating, reverse=True)
     position[0], goals = rated[0], rated[1:5] or rated
     goal, pace = goals[0], rng.uniform(0.06, 0.12)
     for f in range(1, len(paths)):
@@ -216,6 +222,20 @@ def _free_places(
     return is_free
 
 
+def _clearance_m(
+    is_free: Callable[[NDArray[np.float64], int], bool],
+    at: NDArray[np.float64],
+    yaw: float,
+    frame: int,
+) -> float:
+    """How far one sees along yaw before a wall or a thing, at most 2 m."""
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    for distance in np.arange(0.3, 2.0, 0.2):
+        if not is_free(at + distance * ahead, frame):
+            return float(distance)
+    return 2.0
+
+
 def _gaze(
     layout: Layout,
     paths: NDArray[np.float64],
@@ -225,7 +245,8 @@ def _gaze(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(F,) yaw and pitch: looks at a piece of furniture, sweeping, with pans away and back."""
     rng, frames = layout.rng, len(position)
-    away = _excursions(rng, frames)
+    away, side = _excursions(rng, frames), 0.0
+    in_view = _free_places(layout, paths, 0.05, eye - 0.4)
     sweep = np.radians(rng.uniform(4, 11))
     period, phase = rng.uniform(9, 16), rng.uniform(0, 2 * np.pi)
     rate = np.radians(rng.uniform(14, 22))
@@ -237,7 +258,13 @@ def _gaze(
         distance = float(np.hypot(dx, dy))
         if rng.random() < (0.5 if distance < 1.0 else 0.04):
             target = _best_view(layout, paths[f], position[f], half_view)[2]
-        wanted = np.arctan2(dy, dx) + sweep * np.sin(2 * np.pi * f / period + phase) + away[f]
+        wanted = np.arctan2(dy, dx) + sweep * np.sin(2 * np.pi * f / period + phase)
+        if away[f] and not (f and away[f - 1]):
+            left, right = (
+                _clearance_m(in_view, position[f], wanted + s * away[f], f) for s in (1, -1)
+            )
+            side = 1.0 if left + rng.uniform(-0.5, 0.5) > right else -1.0
+        wanted += side * away[f]
         yaw_now += float(np.clip(0.7 * _wrap(wanted - yaw_now), -rate, rate))
         down = float(np.clip(np.arctan2(eye - 0.5, max(distance, 0.6)), 0.1, 0.75))
         pitch_now = down if pitch_now is None else 0.8 * pitch_now + 0.2 * down
@@ -246,12 +273,11 @@ def _gaze(
 
 
 def _excursions(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
-    """(F,) radians looked aside: one or two pans away for some frames."""
+    """(F,) radians to look aside: one or two pans away for some frames."""
     away = np.zeros(frames)
     for _ in range(1 + int(rng.random() < 0.1)):
         start = int(rng.integers(3, max(4, frames - 10)))
-        side = rng.choice([-1, 1]) * np.radians(rng.uniform(45, 90))
-        away[start : start + int(rng.integers(4, 9))] = side
+        away[start : start + int(rng.integers(4, 8))] = np.radians(rng.uniform(40, 85))
     return away
 
 
