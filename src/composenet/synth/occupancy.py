@@ -6,7 +6,8 @@ it lie inside for half of their length or more; besides, every inside stretch to
 half of any cell occupies the cell of its midpoint, so thin boards and legs never vanish.
 
 Other shapes (CAD with holes and sheets): generalised winding number (Jacobson et al. 2013) above
-one half, and the cells of all surface that this solid does not reach.
+one half, and the cells of all surface that this solid does not reach. That takes about a
+second: keep the result where a mesh is used again.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _RAYS = 2  # rays a cell and direction
 _RAYS_THIN = 6  # the same for rods thinner than about half a cell
 _THIN_SECTION = 0.6  # cells^2
 _JITTER0, _JITTER1 = 0.0137 * 2**0.5, 0.0119 * 3**0.5  # of the spacing: rays avoid edges
-_WINDING_CELLS = 48
+_BLOCK = 4  # cells, a power of 2: largest block that may share one winding number
 
 
 def occupancy(shape: Shape, cells: int = 64) -> NDArray[np.bool_]:
@@ -182,15 +183,30 @@ def _solid_by_winding(
     cell_m: NDArray[np.float64],
     cells: int,
 ) -> NDArray[np.bool_]:
-    coarse = min(_WINDING_CELLS, cells)
-    steps = (np.arange(coarse) + 0.5) * cells / coarse
-    queries = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    winding = igl.fast_winding_number(points * cell_m, faces.astype(np.int64), queries * cell_m)
-    nearest = np.arange(cells) * coarse // cells
-    inside = (np.abs(winding) > 0.5).reshape(coarse, coarse, coarse)
-    solid = inside[np.ix_(nearest, nearest, nearest)]
-    surface = _surface_cells(points, faces, cells)
+    """Blocks of cells without any surface have one winding number; the others are divided."""
+    padded = -(-cells // _BLOCK) * _BLOCK
+    surface = np.zeros((padded, padded, padded), dtype=bool)
+    surface[:cells, :cells, :cells] = _surface_cells(points, faces, cells)
+    solid, open_blocks = np.zeros_like(surface), np.ones((padded // _BLOCK,) * 3, dtype=bool)
+    size = _BLOCK
+    while size >= 1:
+        per_side = padded // size
+        touched = surface.reshape(per_side, size, per_side, size, per_side, size).any((1, 3, 5))
+        asked = open_blocks & ~touched if size > 1 else open_blocks
+        queries = (np.argwhere(asked) + 0.5) * size * cell_m
+        winding = igl.fast_winding_number(points * cell_m, faces.astype(np.int64), queries)
+        inside = np.zeros_like(asked)
+        inside[asked] = np.abs(winding) > 0.5
+        solid |= _divided(inside, size)
+        open_blocks = _divided(open_blocks & touched, 2)
+        size //= 2
+    solid, surface = solid[:cells, :cells, :cells], surface[:cells, :cells, :cells]
     return solid | (surface & ~binary_dilation(solid, np.ones((3, 3, 3), dtype=bool)))
+
+
+def _divided(blocks: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """Every block as times^3 blocks of the same value."""
+    return blocks.repeat(times, axis=0).repeat(times, axis=1).repeat(times, axis=2)
 
 
 @njit(cache=True)

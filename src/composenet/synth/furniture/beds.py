@@ -6,12 +6,17 @@ The head is at -X, so +X looks from the foot end into the room.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from composenet.records import Symmetry
+from composenet.synth.furniture.bed_parts import (
+    add_bedding,
+    add_board,
+    add_frame,
+    random_plan,
+)
 from composenet.synth.furniture.cases import Cell, add_case, opened, random_look
 from composenet.synth.furniture.parts import (
     Rng,
@@ -22,7 +27,6 @@ from composenet.synth.furniture.parts import (
     chance,
     cone,
     cushion,
-    extrude_x,
     extrude_y,
     fabric,
     leather,
@@ -32,173 +36,29 @@ from composenet.synth.furniture.parts import (
     rounded_box,
     tube,
 )
-from composenet.synth.shape import Material, Shape, ShapeBuilder
-
-_WIDTHS = (0.8, 0.9, 0.9, 1.0, 1.2, 1.4, 1.4, 1.6, 1.6, 1.8, 1.8, 2.0)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Sleeping surface: length (x) and width (y) of the mattress, the height of the slats that
-    carry it, the mattress's thickness. Metres; the mattress is centred on x = y = 0."""
-
-    length: float
-    width: float
-    slats: float
-    thick: float
-
-    @property
-    def top(self) -> float:
-        """Height of the mattress's top."""
-        return self.slats + self.thick
-
-
-def _plan(rng: Rng, slats: tuple[float, float] = (0.2, 0.38), narrow: bool = False) -> Plan:
-    width = float(rng.choice(_WIDTHS[:4] if narrow else _WIDTHS)) + float(rng.uniform(-0.03, 0.03))
-    thick = float(rng.uniform(0.14, 0.3)) if not narrow else float(rng.uniform(0.1, 0.2))
-    return Plan(float(rng.uniform(1.88, 2.12)), width, float(rng.uniform(*slats)), thick)
-
-
-def _bedding(builder: ShapeBuilder, rng: Rng, plan: Plan, lift: float = 0.0) -> None:
-    """Mattress, pillows and a cover, raised by lift."""
-    size = (plan.length, plan.width, plan.thick)
-    white = fabric(rng) if chance(rng, 0.3) else paint(rng)
-    middle = lift + plan.slats + plan.thick / 2
-    builder.add(rounded_box(size, (0, 0, middle), float(rng.uniform(0.02, 0.07))), white)
-    top = lift + plan.top
-    _pillows(builder, rng, plan, top)
-    if chance(rng, 0.75):
-        _cover(builder, rng, plan, top)
-
-
-def _pillows(builder: ShapeBuilder, rng: Rng, plan: Plan, top: float) -> None:
-    count = 1 if plan.width < 1.15 else 2
-    material = fabric(rng)
-    for row in range(2 if chance(rng, 0.25) else 1):
-        wide = min(plan.width / count * float(rng.uniform(0.7, 0.92)), 0.85)
-        deep, thick = float(rng.uniform(0.35, 0.5)), float(rng.uniform(0.1, 0.18))
-        tilt = float(rng.choice([0.0, rng.uniform(15, 60)]))
-        for index in range(count):
-            y = (index - (count - 1) / 2) * plan.width / count
-            pillow = cushion((deep, wide, thick), power=3.0, segments=12)
-            pillow = pillow.rotate((0, tilt, float(rng.normal(0, 3))))
-            low = -float(pillow.bounding_box()[2])
-            x = -plan.length / 2 + deep / 2 + 0.03 + 0.16 * row
-            builder.add(pillow.translate((x, y, top + low - 0.015)), material)
-
-
-def _cover(builder: ShapeBuilder, rng: Rng, plan: Plan, top: float) -> None:
-    """Duvet or blanket: over most of the bed, hanging down at the sides or folded on the end."""
-    material = fabric(rng)
-    share = float(rng.choice([rng.uniform(0.55, 0.8), rng.uniform(0.2, 0.35)]))
-    start = plan.length / 2 - share * plan.length
-    thick = float(rng.uniform(0.02, 0.08))
-    over = float(rng.uniform(0.0, 0.035))
-    size = (plan.length / 2 - start + over, plan.width + 2 * over, thick)
-    center = ((start + plan.length / 2 + over) / 2, 0, top + thick / 2 - 0.01)
-    builder.add(rounded_box(size, center, 0.02), material)
-    if over > 0.01:
-        drop = float(rng.uniform(0.06, 0.9)) * min(plan.thick, 0.25)
-        for side in (-1, 1):
-            wall = box((size[0] - 0.04, over + 0.006, drop), (center[0], 0, top - drop / 2))
-            builder.add(wall.translate((0, side * (plan.width + over) / 2, 0)), material)
-    if share > 0.5 and chance(rng, 0.5):  # turned back at its upper edge
-        fold = rounded_box(
-            (0.25, size[1] * 0.99, thick + 0.03), (start + 0.1, 0, top + thick), 0.02
-        )
-        builder.add(fold, fabric(rng) if chance(rng, 0.5) else material)
-
-
-def _frame(
-    builder: ShapeBuilder, rng: Rng, plan: Plan, material: Material, margin: float = 0.03
-) -> None:
-    """Side rails and slats' plane, on four (or six) legs."""
-    rail = float(rng.uniform(0.1, 0.22))
-    z, thick = plan.slats + 0.04 - rail / 2, float(rng.uniform(0.022, 0.04))
-    for side in (-1, 1):
-        y = side * (plan.width / 2 + margin - thick / 2)
-        builder.add(box((plan.length, thick, rail), (0, y, z)), material)
-    builder.add(box((plan.length, plan.width, 0.04), (0, 0, plan.slats - 0.02)), material)
-    for x in (-plan.length / 2 + 0.1, plan.length / 2 - 0.1):
-        for y in (-plan.width / 2 + 0.05, plan.width / 2 - 0.05):
-            builder.add(cone(0.022, 0.032, plan.slats - 0.02, (x, y, 0), 8), material)
-
-
-def _board(
-    builder: ShapeBuilder,
-    rng: Rng,
-    x: float,
-    width: float,
-    low: float,
-    high: float,
-    material: Material,
-    kind: str,
-) -> None:
-    """A head or foot board in the plane x, from low to high. kind: plain, posts, slats, arch,
-    rungs or padded."""
-    thick = float(rng.uniform(0.025, 0.06))
-    half = width / 2
-    if kind == "plain":
-        builder.add(
-            rounded_box((thick, width, high - low), (x, 0, (low + high) / 2), 0.012), material
-        )
-    elif kind == "padded":
-        deep, columns = float(rng.uniform(0.06, 0.14)), int(rng.integers(1, 6))
-        builder.add(rounded_box((deep / 2, width, high), (x, 0, high / 2), 0.012), material)
-        for y in (np.arange(columns) + 0.5) / columns * width - half:
-            size = (deep / 2, width / columns, high - low)
-            builder.add(rounded_box(size, (x + deep / 4, y, (low + high) / 2), 0.02), material)
-    elif kind == "arch":
-        rise = float(rng.uniform(0.12, 0.4)) * (high - low)
-        radius = (half**2 + rise**2) / (2 * rise)
-        reach = float(np.arcsin(min(half / radius, 1.0)))
-        top = arc((0, high - radius), radius, np.pi / 2 - reach, np.pi / 2 + reach, 12)
-        outline = np.concatenate([top, [(-half, low), (half, low)]])
-        builder.add(extrude_x(outline, thick, x), material)
-    else:
-        post = float(rng.uniform(0.04, 0.08))
-        for y in (-half + post / 2, half - post / 2):
-            builder.add(box((post, post, high), (x, y, high / 2)), material)
-            if kind == "posts" and chance(rng, 0.5):
-                builder.add(cushion((post, post, post), (x, y, high + post / 2), 2, 8), material)
-        rail = float(rng.uniform(0.05, 0.12))
-        levels = (low + rail / 2, high - rail / 2 - 0.02)
-        for z in levels:
-            builder.add(box((0.6 * post, width - post, rail), (x, 0, z)), material)
-        if kind == "posts":
-            size = (0.3 * post, width - post, levels[1] - levels[0])
-            builder.add(box(size, (x, 0, sum(levels) / 2)), material)
-        elif kind == "slats":
-            for y in np.linspace(-half + post, half - post, max(4, round(width / 0.14)))[1:-1]:
-                builder.add(bar((x, y, levels[0]), (x, y, levels[1]), 0.05, 0.015), material)
-        else:
-            for z in np.linspace(*levels, int(rng.integers(3, 6)))[1:-1]:
-                builder.add(box((0.02, width - post, 0.06), (x, 0, z)), material)
-    if kind in ("plain", "arch") and low > 0.02:
-        for y in (-0.8 * half, 0.8 * half):
-            builder.add(box((0.8 * thick, 0.06, low + 0.02), (x, y, low / 2 + 0.01)), material)
+from composenet.synth.shape import Shape, ShapeBuilder
 
 
 def panel(rng: Rng) -> Shape:
     """Wooden frame with head and foot boards of many kinds."""
-    builder, plan, material = ShapeBuilder(), _plan(rng), carcass(rng)
-    _frame(builder, rng, plan, material)
-    _bedding(builder, rng, plan)
+    builder, plan, material = ShapeBuilder(), random_plan(rng), carcass(rng)
+    add_frame(builder, rng, plan, material)
+    add_bedding(builder, rng, plan)
     width = plan.width + float(rng.uniform(0.04, 0.12))
     kind = str(rng.choice(["plain", "posts", "slats", "arch", "rungs"]))
     x = plan.length / 2 + 0.02
     low = float(rng.uniform(0.1, plan.slats))
     head = plan.top + float(rng.uniform(0.2, 0.7))
-    _board(builder, rng, -x, width, low, head, material, kind)
+    add_board(builder, rng, -x, width, low, head, material, kind)
     if chance(rng, 0.65):
         foot = plan.slats + float(rng.uniform(0.05, 0.5)) * (head - plan.slats)
-        _board(builder, rng, x, width, low, foot, material, kind)
+        add_board(builder, rng, x, width, low, foot, material, kind)
     return builder.build("bed", "panel", Symmetry.NONE)
 
 
 def metal_frame(rng: Rng) -> Shape:
     """Tubes and rods."""
-    builder, plan, material = ShapeBuilder(), _plan(rng, (0.28, 0.42)), metal(rng)
+    builder, plan, material = ShapeBuilder(), random_plan(rng, (0.28, 0.42)), metal(rng)
     radius = float(rng.uniform(0.012, 0.022))
     half, x = plan.width / 2 + 0.02, plan.length / 2 + 0.02
     head = plan.top + float(rng.uniform(0.25, 0.6))
@@ -219,13 +79,13 @@ def metal_frame(rng: Rng) -> Shape:
     for y in (-half, half):
         builder.add(box((2 * x, 0.03, 0.04), (0, y, plan.slats)), material)
     builder.add(box((plan.length, plan.width, 0.03), (0, 0, plan.slats - 0.015)), material)
-    _bedding(builder, rng, plan)
+    add_bedding(builder, rng, plan)
     return builder.build("bed", "metal_frame", Symmetry.NONE)
 
 
 def upholstered(rng: Rng) -> Shape:
     """Padded head board, cloth round the frame, short feet."""
-    builder, plan = ShapeBuilder(), _plan(rng, (0.2, 0.32))
+    builder, plan = ShapeBuilder(), random_plan(rng, (0.2, 0.32))
     material = fabric(rng) if chance(rng, 0.7) else leather(rng)
     lift, pad = float(rng.uniform(0.03, 0.12)), float(rng.uniform(0.03, 0.08))
     length, width = plan.length + pad, plan.width + 2 * pad
@@ -234,10 +94,12 @@ def upholstered(rng: Rng) -> Shape:
     for x in (-length / 2 + 0.1, length / 2 - 0.05):
         for y in (-width / 2 + 0.1, width / 2 - 0.1):
             builder.add(box((0.06, 0.06, lift + 0.02), (x, y, lift / 2 + 0.01)), carcass(rng))
-    _bedding(builder, rng, plan)
+    add_bedding(builder, rng, plan)
     high = plan.top + float(rng.uniform(0.3, 0.85))
     wide = width + float(rng.choice([0.0, rng.uniform(0.0, 0.3)]))
-    _board(builder, rng, -plan.length / 2 - 0.06, wide, plan.slats * 0.8, high, material, "padded")
+    add_board(
+        builder, rng, -plan.length / 2 - 0.06, wide, plan.slats * 0.8, high, material, "padded"
+    )
     if chance(rng, 0.25):  # wings
         for side in (-1, 1):
             size = (0.2, 0.06, high - 0.05)
@@ -248,13 +110,13 @@ def upholstered(rng: Rng) -> Shape:
 
 def platform(rng: Rng) -> Shape:
     """A wide low deck that floats on a recessed base; a low head board or none."""
-    builder, plan, material = ShapeBuilder(), _plan(rng, (0.14, 0.3)), carcass(rng)
+    builder, plan, material = ShapeBuilder(), random_plan(rng, (0.14, 0.3)), carcass(rng)
     edge, thick = float(rng.uniform(0.02, 0.25)), float(rng.uniform(0.04, 0.12))
     deck = (plan.length + edge, plan.width + 2 * edge, thick)
     builder.add(box(deck, (edge / 2, 0, plan.slats - thick / 2)), material)
     base = (0.75 * plan.length, 0.75 * plan.width, plan.slats - thick / 2)
     builder.add(box(base, (0, 0, base[2] / 2)), material)
-    _bedding(builder, rng, plan)
+    add_bedding(builder, rng, plan)
     if chance(rng, 0.7):
         high = plan.top + float(rng.uniform(0.1, 0.5))
         wide = plan.width + 2 * edge + float(rng.choice([0.0, rng.uniform(0.0, 0.9)]))
@@ -266,7 +128,7 @@ def platform(rng: Rng) -> Shape:
 def storage_bed(rng: Rng) -> Shape:
     """Drawers under the mattress."""
     builder, look = ShapeBuilder(), random_look(rng)
-    plan = _plan(rng, (0.28, 0.45))
+    plan = random_plan(rng, (0.28, 0.45))
     half_x, half_y = plan.length / 2 + 0.02, plan.width / 2 + 0.02
     side = 1.0 if chance(rng, 0.5) else -1.0
     count = int(rng.integers(2, 4))
@@ -277,9 +139,9 @@ def storage_bed(rng: Rng) -> Shape:
     ]
     low, high = (-half_y, -half_x, 0.0), (half_y, half_x, plan.slats)
     add_case(builder, look, low, high, cells, turn_deg=90 * side)
-    _bedding(builder, rng, plan)
+    add_bedding(builder, rng, plan)
     high_z = plan.top + float(rng.uniform(0.2, 0.6))
-    _board(builder, rng, -half_x - 0.03, 2 * half_y, 0.05, high_z, look.body, "plain")
+    add_board(builder, rng, -half_x - 0.03, 2 * half_y, 0.05, high_z, look.body, "plain")
     if chance(rng, 0.3):  # book-case head
         size = (0.25, 2 * half_y, high_z)
         shelf = box(size, (-half_x - 0.13, 0, high_z / 2))
@@ -290,7 +152,7 @@ def storage_bed(rng: Rng) -> Shape:
 
 def box_spring(rng: Rng) -> Shape:
     """Divan: thick upholstered base, mattress and topper; sometimes no head board at all."""
-    builder, plan = ShapeBuilder(), _plan(rng, (0.3, 0.42))
+    builder, plan = ShapeBuilder(), random_plan(rng, (0.3, 0.42))
     cloth, lift = fabric(rng), float(rng.uniform(0.03, 0.14))
     halves = 2 if plan.width > 1.5 and chance(rng, 0.5) else 1
     for index in range(halves):
@@ -301,19 +163,19 @@ def box_spring(rng: Rng) -> Shape:
         for x in (-plan.length / 2 + 0.12, plan.length / 2 - 0.12):
             for foot_y in (y - wide / 2 + 0.1, y + wide / 2 - 0.1):
                 builder.add(cone(0.02, 0.03, lift + 0.02, (x, foot_y, 0), 8), metal(rng))
-    _bedding(builder, rng, plan)
+    add_bedding(builder, rng, plan)
     if chance(rng, 0.6):
         high = plan.top + float(rng.uniform(0.3, 0.7))
-        _board(builder, rng, -plan.length / 2 - 0.08, plan.width, lift, high, cloth, "padded")
+        add_board(builder, rng, -plan.length / 2 - 0.08, plan.width, lift, high, cloth, "padded")
     return builder.build("bed", "box_spring", Symmetry.NONE)
 
 
 def four_poster(rng: Rng) -> Shape:
     """Posts to a frame above, sometimes a canopy."""
-    builder, plan = ShapeBuilder(), _plan(rng, (0.25, 0.42))
+    builder, plan = ShapeBuilder(), random_plan(rng, (0.25, 0.42))
     material = carcass(rng) if chance(rng, 0.7) else metal(rng)
-    _frame(builder, rng, plan, material)
-    _bedding(builder, rng, plan)
+    add_frame(builder, rng, plan, material)
+    add_bedding(builder, rng, plan)
     post, high = float(rng.uniform(0.035, 0.09)), float(rng.uniform(1.8, 2.15))
     x, y = plan.length / 2 + post / 2, plan.width / 2 + post / 2
     turned = chance(rng, 0.4)
@@ -331,13 +193,13 @@ def four_poster(rng: Rng) -> Shape:
             builder.add(box((2 * x, 2 * y, 0.02), (0, 0, high)), fabric(rng))
     kind = str(rng.choice(["plain", "slats", "arch", "rungs"]))
     board_top = plan.top + float(rng.uniform(0.25, 0.6))
-    _board(builder, rng, -x, 2 * y, plan.slats, board_top, material, kind)
+    add_board(builder, rng, -x, 2 * y, plan.slats, board_top, material, kind)
     return builder.build("bed", "four_poster", Symmetry.NONE)
 
 
 def bunk(rng: Rng) -> Shape:
     """Two beds over each other (or a loft over a void), guard rails and a ladder."""
-    builder, plan = ShapeBuilder(), _plan(rng, (0.2, 0.36), narrow=True)
+    builder, plan = ShapeBuilder(), random_plan(rng, (0.2, 0.36), narrow=True)
     material = carcass(rng) if chance(rng, 0.7) else metal(rng)
     upper = float(rng.uniform(1.0, 1.25))
     post, x, y = float(rng.uniform(0.045, 0.08)), plan.length / 2 + 0.03, plan.width / 2 + 0.03
@@ -353,7 +215,7 @@ def bunk(rng: Rng) -> Shape:
             rail = (side * x, 0, z + plan.thick + 0.15)
             builder.add(box((0.025, 2 * y, 0.12), rail), material)
         builder.add(box((plan.length, plan.width, 0.03), (0, 0, z - 0.015)), material)
-        _bedding(builder, rng, plan, lift)
+        add_bedding(builder, rng, plan, lift)
     open_side = float(rng.choice([-1, 1]))
     gap = float(rng.uniform(0.4, 0.5))
     for z in (high - 0.04, high - 0.18):
@@ -375,13 +237,17 @@ def bunk(rng: Rng) -> Shape:
 
 def daybed(rng: Rng) -> Shape:
     """Boards at both ends and along one side: a bed that is also a seat."""
-    builder, plan, material = ShapeBuilder(), _plan(rng, (0.22, 0.36), narrow=True), carcass(rng)
-    _frame(builder, rng, plan, material)
-    _bedding(builder, rng, plan)
+    builder, plan, material = (
+        ShapeBuilder(),
+        random_plan(rng, (0.22, 0.36), narrow=True),
+        carcass(rng),
+    )
+    add_frame(builder, rng, plan, material)
+    add_bedding(builder, rng, plan)
     high = plan.top + float(rng.uniform(0.2, 0.45))
     x, kind = plan.length / 2 + 0.02, str(rng.choice(["plain", "slats", "posts"]))
     for end in (-x, x):
-        _board(builder, rng, end, plan.width + 0.06, 0.12, high, material, kind)
+        add_board(builder, rng, end, plan.width + 0.06, 0.12, high, material, kind)
     side = float(rng.choice([-1, 1])) * (plan.width / 2 + 0.02)
     size = (plan.length, 0.03, high - 0.15)
     builder.add(box(size, (0, side, 0.15 + size[2] / 2)), material)
@@ -390,9 +256,9 @@ def daybed(rng: Rng) -> Shape:
 
 def sleigh(rng: Rng) -> Shape:
     """Head and foot boards that roll outwards."""
-    builder, plan, material = ShapeBuilder(), _plan(rng, (0.22, 0.34)), carcass(rng)
-    _frame(builder, rng, plan, material)
-    _bedding(builder, rng, plan)
+    builder, plan, material = ShapeBuilder(), random_plan(rng, (0.22, 0.34)), carcass(rng)
+    add_frame(builder, rng, plan, material)
+    add_bedding(builder, rng, plan)
     width, thick = plan.width + 0.08, float(rng.uniform(0.035, 0.06))
     roll = float(rng.uniform(0.06, 0.13))
     low = float(rng.uniform(0.0, 0.12))

@@ -184,7 +184,7 @@ def _front(
         pane = look.pane if look.front == "glass" else look.panel
         parts.append((box_between((x, y0, z0), (x + 0.4 * thick, y1, z1)), pane))
         if look.front == "louvre":
-            for z in np.arange(z0 + rail, z1 - rail, 0.06):
+            for z in np.arange(z0 + rail, z1 - rail, max(0.06, (z1 - z0) / 14)):
                 slat = box_between((x, y0 + rail, z), (x + thick, y1 - rail, z + 0.03))
                 parts.append((slat, look.panel))
     else:
