@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from composenet.records import Camera, FloatArray
 
+_NATIVE_WIDTH = 640
+
 
 class SensorKind(StrEnum):
     STRUCTURED_LIGHT = "structured light"
@@ -25,12 +27,11 @@ class SensorKind(StrEnum):
 
 @dataclass(frozen=True)
 class Sensor:
-    """One depth camera.
+    """One depth camera. Pixels (_px) are those of a 640 pixel wide image, whatever is drawn.
 
     range_m: nearest and farthest depth. baseline_m: projector to camera (structured light).
-    disparity_step_px: quantisation, in pixels of the image drawn. disparity_noise_px: standard
-    deviation, of disparity. phase_noise: standard deviation at 1 m on a white surface, metres
-    (time of flight). lateral_px: jitter of where a pixel looks. grazing_cosine: surfaces
+    disparity_step_px: quantisation. disparity_noise_px: standard deviation. phase_noise:
+    standard deviation at 1 m on a white surface, metres (time of flight). lateral_px: jitter of where a pixel looks. grazing_cosine: surfaces
     steeper than that return nothing. loss: 0..1, how readily dark and shiny surfaces vanish.
     edge_loss: share of pixels on depth edges without depth. warp: relative depth error that
     varies smoothly over the image.
@@ -57,9 +58,9 @@ def sample_sensor(rng: np.random.Generator) -> Sensor:
         range_m=(float(rng.uniform(0.3, 0.5)), float(rng.uniform(6.0, 8.0))),
         baseline_m=float(rng.uniform(0.05, 0.08)),
         disparity_step_px=float(rng.choice([1 / 16, 1 / 8])),
-        disparity_noise_px=float(rng.uniform(0.01, 0.06)),
+        disparity_noise_px=float(rng.uniform(0.03, 0.1)),
         phase_noise=float(rng.uniform(0.001, 0.003)),
-        lateral_px=float(rng.uniform(0.3, 0.7)),
+        lateral_px=float(rng.uniform(0.6, 1.4)),
         grazing_cosine=float(rng.uniform(0.08, 0.2)),
         loss=float(rng.uniform(0.1, 0.8)),
         edge_loss=float(rng.uniform(0.1, 0.7)),
@@ -82,10 +83,13 @@ def measure(
     height, width = clean_depth_m.shape
     noise = rng.standard_normal((height, width), dtype=np.float32)
     chance, right, down = rng.random((3, height, width), dtype=np.float32)
-    spread = float(np.sqrt(12.0)) * sensor.lateral_px  # of even noise with that deviation
+    spread = (
+        float(np.sqrt(12.0)) * sensor.lateral_px * width / _NATIVE_WIDTH
+    )  # of even noise with that deviation
     patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
     warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
     focal = float(camera.K[0, 0])
+    native_focal = focal * _NATIVE_WIDTH / width
     light = sensor.kind is SensorKind.STRUCTURED_LIGHT
     if light:
         lit = _projector_sees(clean_depth_m, focal * sensor.baseline_m)
@@ -103,7 +107,7 @@ def measure(
         warps,
         light,
         sensor.range_m,
-        (focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
+        (native_focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
         sensor.phase_noise,
         (sensor.grazing_cosine, sensor.loss, sensor.edge_loss),
     )
@@ -159,6 +163,17 @@ def _edge_step(depth, v, u):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _by_disparity(z, cosine, normal, uniform, stereo):  # type: ignore[no-untyped-def]
+    """Depth from noisy disparity in whole steps; 0 where none is left."""
+    focal_baseline, step_px, noise_px = stereo
+    spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
+    disparity = focal_baseline / z + spread * normal
+    # Neighbouring windows disagree on where a step begins.
+    disparity = np.rint(disparity / step_px + 0.5 * (uniform - 0.5)) * step_px
+    return focal_baseline / disparity if disparity > 0 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
 def _measure(  # type: ignore[no-untyped-def]
     clean,
     surface,
@@ -176,7 +191,6 @@ def _measure(  # type: ignore[no-untyped-def]
     losses,
 ):
     height, width = clean.shape
-    focal_baseline, step_px, noise_px = stereo
     grazing, loss, edge_loss = losses
     out = np.zeros((height, width), dtype=np.float32)
     for v in range(height):
@@ -200,11 +214,7 @@ def _measure(  # type: ignore[no-untyped-def]
                 continue
             z *= 1 + _bilinear(warps, v / height * 2.99, u / width * 3.99)
             if light:
-                spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
-                disparity = focal_baseline / z + spread * noise[v, u]
-                # Finer steps than the quantum arise where neighbouring windows disagree.
-                disparity = np.rint(disparity / step_px + 0.5 * (chance[v, u] - 0.5)) * step_px
-                z = focal_baseline / disparity if disparity > 0 else 0.0
+                z = _by_disparity(z, cosine, noise[v, u], chance[v, u], stereo)
             else:
                 if step > 0.04 and other > 0 and chance[v, u] > 0.5:
                     z += (other - z) * (chance[v, u] - 0.5) * 2
