@@ -97,12 +97,14 @@ def test_agrees_with_the_slow_reference(name: str) -> None:
 @given(st.integers(0, 10_000))
 @settings(max_examples=20, deadline=None)
 def test_thin_boards_and_legs_never_vanish(seed: int) -> None:
-    """Parts far thinner than a cell, anywhere and turned anyhow: every centre line is marked."""
+    """Parts thinner than a cell or about as thin, turned anyhow: every centre line is marked."""
     rng = np.random.default_rng(seed)
     start, end = rng.uniform(-0.9, 0.9, (2, 3))
     frame = [box((0.02, 0.02, 0.02), corner) for corner in ((-1, -1, -1), (1, 1, 1))]
     shape = shape_of(
-        *frame, rod(start, end, 0.011), box((0.6, 0.5, 0.004), rng.uniform(-0.5, 0.5, 3))
+        *frame,
+        rod(start, end, rng.uniform(0.008, 0.045)),
+        box((0.6, 0.5, 0.004), rng.uniform(-0.5, 0.5, 3)),
     )
     solid = occupancy(shape, 32)
     line = start + (end - start) * np.linspace(0.05, 0.95, 40)[:, None]

@@ -2,8 +2,8 @@
 
 Watertight shapes: rays along all three axes, several a cell, are cut into inside and outside by
 the winding number, which also unites overlapping parts. A cell is occupied when the rays through
-it lie inside for half of their length or more; besides, every inside stretch too short to fill
-half of any cell occupies the cell of its midpoint, so thin boards and legs never vanish.
+it lie inside for half of their length or more; besides, every inside stretch shorter than one
+and a half cells occupies the cell of its midpoint, so thin boards and legs never vanish.
 
 Other shapes (CAD with holes and sheets): generalised winding number (Jacobson et al. 2013) above
 one half, and the cells of all surface that this solid does not reach. That takes about a
@@ -24,6 +24,7 @@ _RAYS = 2  # rays a cell and direction
 _RAYS_THIN = 6  # the same for rods thinner than about half a cell
 _THIN_SECTION = 0.6  # cells^2
 _JITTER0, _JITTER1 = 0.0137 * 2**0.5, 0.0119 * 3**0.5  # of the spacing: rays avoid edges
+_SHORT = 1.5  # cells
 _BLOCK = 4  # cells, a power of 2: largest block that may share one winding number
 
 
@@ -137,12 +138,9 @@ def _fill_stretch(low, high, cells, share, base, step, filled, solid):  # type: 
     low, high = max(low, 0.0), min(high, float(cells))
     if high <= low:
         return
-    enough = False
     for k in range(int(low), min(int(high), cells - 1) + 1):
-        overlap = min(high, k + 1.0) - max(low, float(k))
-        filled[base + k * step] += share * overlap
-        enough = enough or overlap >= 0.5
-    if not enough:
+        filled[base + k * step] += share * (min(high, k + 1.0) - max(low, float(k)))
+    if high - low < _SHORT:
         solid[base + min(int((low + high) / 2), cells - 1) * step] = True
 
 
