@@ -30,11 +30,12 @@ class Sensor:
     """One depth camera. Pixels (_px) are those of a 640 pixel wide image, whatever is drawn.
 
     range_m: nearest and farthest depth. baseline_m: projector to camera (structured light).
-    disparity_step_px: quantisation. disparity_noise_px: standard deviation. phase_noise:
-    standard deviation at 1 m on a white surface, metres (time of flight). lateral_px: jitter of where a pixel looks. grazing_cosine: surfaces
-    steeper than that return nothing. loss: 0..1, how readily dark and shiny surfaces vanish.
-    edge_loss: share of pixels on depth edges without depth. warp: relative depth error that
-    varies smoothly over the image.
+    disparity_step_px: quantisation. disparity_noise_px: standard deviation, alike over a few
+    pixels, as windows that match a pattern overlap. phase_noise: standard deviation at 1 m on
+    a white surface, metres (time of flight). lateral_px: how far edges wander. grazing_cosine:
+    surfaces steeper than that return nothing. loss: 0..1, how readily dark and shiny surfaces
+    vanish. edge_loss: share of pixels on depth edges without depth. warp: relative depth error
+    that varies smoothly over the image.
     """
 
     kind: SensorKind
@@ -58,8 +59,8 @@ def sample_sensor(rng: np.random.Generator) -> Sensor:
         range_m=(float(rng.uniform(0.3, 0.5)), float(rng.uniform(6.0, 8.0))),
         baseline_m=float(rng.uniform(0.05, 0.08)),
         disparity_step_px=float(rng.choice([1 / 16, 1 / 8])),
-        disparity_noise_px=float(rng.uniform(0.03, 0.1)),
-        phase_noise=float(rng.uniform(0.001, 0.003)),
+        disparity_noise_px=float(rng.uniform(0.02, 0.09)),
+        phase_noise=float(rng.uniform(0.0003, 0.0015)),
         lateral_px=float(rng.uniform(0.6, 1.4)),
         grazing_cosine=float(rng.uniform(0.08, 0.2)),
         loss=float(rng.uniform(0.1, 0.8)),
@@ -87,6 +88,7 @@ def measure(
         float(np.sqrt(12.0)) * sensor.lateral_px * width / _NATIVE_WIDTH
     )  # of even noise with that deviation
     patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
+    windows = rng.standard_normal((height // 4 + 2, width // 4 + 2), dtype=np.float32)
     warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
     focal = float(camera.K[0, 0])
     native_focal = focal * _NATIVE_WIDTH / width
@@ -103,8 +105,7 @@ def measure(
         chance,
         spread * (right - 0.5),
         spread * (down - 0.5),
-        patches,
-        warps,
+        (patches, windows, warps),
         light,
         sensor.range_m,
         (native_focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
@@ -163,13 +164,12 @@ def _edge_step(depth, v, u):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _by_disparity(z, cosine, normal, uniform, stereo):  # type: ignore[no-untyped-def]
+def _by_disparity(z, cosine, normal, stereo):  # type: ignore[no-untyped-def]
     """Depth from noisy disparity in whole steps; 0 where none is left."""
     focal_baseline, step_px, noise_px = stereo
     spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
     disparity = focal_baseline / z + spread * normal
-    # Neighbouring windows disagree on where a step begins.
-    disparity = np.rint(disparity / step_px + 0.5 * (uniform - 0.5)) * step_px
+    disparity = np.rint(disparity / step_px) * step_px
     return focal_baseline / disparity if disparity > 0 else 0.0
 
 
@@ -182,8 +182,7 @@ def _measure(  # type: ignore[no-untyped-def]
     chance,
     right,
     down,
-    patches,
-    warps,
+    grids,
     light,
     limits,
     stereo,
@@ -192,12 +191,15 @@ def _measure(  # type: ignore[no-untyped-def]
 ):
     height, width = clean.shape
     grazing, loss, edge_loss = losses
+    patches, windows, warps = grids
     out = np.zeros((height, width), dtype=np.float32)
     for v in range(height):
         for u in range(width):
             # The same jitter decides depth and surface, so edges wander as a whole.
             i = min(max(int(np.rint(v + down[v, u])), 0), height - 1)
             j = min(max(int(np.rint(u + right[v, u])), 0), width - 1)
+            if abs(clean[i, j] - clean[v, u]) < 0.04 * clean[v, u]:
+                i, j = v, u  # only edges wander; a slanted surface stays where it is
             z = clean[i, j]
             if z < limits[0] or z > limits[1] or not lit[i, j]:
                 continue
@@ -214,7 +216,8 @@ def _measure(  # type: ignore[no-untyped-def]
                 continue
             z *= 1 + _bilinear(warps, v / height * 2.99, u / width * 3.99)
             if light:
-                z = _by_disparity(z, cosine, noise[v, u], chance[v, u], stereo)
+                correlated = 1.3 * _bilinear(windows, v / 4, u / 4) + 0.3 * noise[v, u]
+                z = _by_disparity(z, cosine, correlated, stereo)
             else:
                 if step > 0.04 and other > 0 and chance[v, u] > 0.5:
                     z += (other - z) * (chance[v, u] - 0.5) * 2
