@@ -29,6 +29,8 @@ class VolumeConfig:
     """edge of a surface voxel, metres"""
     max_depth_m: Positive = 5.5
     """depth beyond this is dropped"""
+    min_pixels: Count = 2
+    """a voxel hit by fewer depth pixels is noise"""
     truncation_m: Positive = 0.15
     """truncation of the signed distance field"""
 

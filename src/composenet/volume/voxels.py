@@ -63,6 +63,30 @@ def quarter_turn(T_world_camera: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True)
+def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
+    """Edge-preserving mean: each pixel becomes the mean of the neighbours whose depth differs
+    by less than floor_m + sensor_noise * z^2 metres (depth noise grows with the square of
+    distance). (H, W) float32 -> the same; invalid pixels stay 0."""
+    height, width = depth.shape
+    out = np.zeros_like(depth)
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            if z <= 0:
+                continue
+            limit = floor_m + sensor_noise * z * z
+            total, count = 0.0, 0
+            for y in range(max(0, v - radius), min(height, v + radius + 1)):
+                for x in range(max(0, u - radius), min(width, u + radius + 1)):
+                    d = depth[y, x]
+                    if d > 0 and abs(d - z) < limit:
+                        total += d
+                        count += 1
+            out[v, u] = total / count
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
     """Back-projected points (grid frame) and normals towards the camera; valid mask."""
     height, width = depth.shape
@@ -176,8 +200,9 @@ def voxelize(
     T_turned_camera = np.array(frame.T_world_camera, dtype=np.float64)
     T_turned_camera[:3] = R_world_grid.T @ T_turned_camera[:3]
     K = frame.camera.K
+    depth_m = smooth_depth(np.ascontiguousarray(frame.depth_m, dtype=np.float32))
     points, normals, valid = _points_and_normals(
-        np.ascontiguousarray(frame.depth_m, dtype=np.float32),
+        depth_m,
         K[0, 0],
         K[1, 1],
         K[0, 2],
@@ -192,6 +217,8 @@ def voxelize(
     low, shape = _bounds(points[valid], size)
     ids = np.zeros(frame.depth_m.shape, np.int32) if ids is None else ids.astype(np.int32)
     coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
+    solid = sums[:, 0] >= config.min_pixels
+    coords, sums, labels = coords[solid], sums[solid], labels[solid]
     if len(coords) == 0:
         return None
     T_world_grid = np.eye(4)
@@ -199,8 +226,8 @@ def voxelize(
     T_world_grid[:3, 3] = R_world_grid @ low
     T_camera_grid = np.linalg.inv(np.array(frame.T_world_camera, dtype=np.float64)) @ T_world_grid
     features = _features(coords, sums, low, size, T_turned_camera[:3, 3])
-    depth = np.where(frame.depth_m <= config.max_depth_m, frame.depth_m, 0).astype(np.float32)
-    return Volume(coords, features, labels, shape, size, T_world_grid, depth, K, T_camera_grid)
+    depth_m[depth_m > config.max_depth_m] = 0
+    return Volume(coords, features, labels, shape, size, T_world_grid, depth_m, K, T_camera_grid)
 
 
 def _features(coords, sums, low, size, camera_position) -> NDArray[np.float32]:
