@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +53,16 @@ def hardware() -> str:
 
 @dataclass(frozen=True)
 class RunInfo:
-    """Where results come from. data: name or folder; seed: of the run or data."""
+    """Where results come from. data: name or folder; seed: of the run or data; command: that
+    made them; weights: which; date: ISO, UTC."""
 
     data: str
     seed: int
+    command: str = ""
+    weights: str = ""
     commit: str = field(default_factory=source_commit)
     hardware: str = field(default_factory=hardware)
+    date: str = field(default_factory=lambda: datetime.now(UTC).date().isoformat())
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,9 @@ def results(info: RunInfo, variants: Mapping[str, DatasetScores]) -> dict[str, A
         "commit": info.commit,
         "seed": info.seed,
         "hardware": info.hardware,
+        "date": info.date,
+        "command": info.command,
+        "weights": info.weights,
         "variants": {name: _variant(scores) for name, scores in variants.items()},
     }
 
