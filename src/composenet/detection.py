@@ -98,15 +98,21 @@ def _propose_frame(
     modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
     probabilities = fields.class_logits[rows].softmax(dim=1)
     values = torch.cat(
-        [votes.new_ones(len(votes), 1), weight[:, None], votes, fields.extents[rows], probabilities],
+        [
+            votes.new_ones(len(votes), 1),
+            weight[:, None],
+            votes,
+            fields.extents[rows],
+            probabilities,
+        ],
         dim=1,
     )
     sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
     count = sums[:, 0]
     mean = sums / count.clamp_min(1)[:, None]
-    keep = torch.nonzero(
-        (count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score)
-    )[:, 0]
+    keep = torch.nonzero((count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score))[
+        :, 0
+    ]
     order = keep[torch.argsort(mean[keep, 1], descending=True, stable=True)]
     order = order[: config.max_proposals]
     return Proposals(

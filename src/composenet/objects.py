@@ -41,9 +41,9 @@ def estimate_objects(
     size = proposals.extents.clamp(0.15, 5.0) * config.network.crop_margin
     crops = CropBatch(frame, proposals.center, size)
     objects = network.object_fields(fields.features, batch, crops)
-    probabilities = (
-        proposals.class_probabilities * objects.class_logits.softmax(dim=1)
-    ).clamp_min(1e-9)
+    probabilities = (proposals.class_probabilities * objects.class_logits.softmax(dim=1)).clamp_min(
+        1e-9
+    )
     probabilities = probabilities / probabilities.sum(dim=1, keepdim=True)
     score = (proposals.score * objects.quality.sigmoid()).sqrt() * probabilities.amax(dim=1)
     shown = _shown_occupancy(objects, config)
@@ -105,8 +105,9 @@ def _estimate(
     if config.tracking.use_completion:
         box = _box(points_grid, cell_size, R_world_grid, low)
     else:
-        center, extents = (x[i].cpu().numpy().astype(np.float64) for x in
-                           (proposals.center, proposals.extents))
+        center, extents = (
+            x[i].cpu().numpy().astype(np.float64) for x in (proposals.center, proposals.extents)
+        )
         box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
     points_world = points_grid @ R_world_grid.T + low
     observable = bool(fit.observable[i])

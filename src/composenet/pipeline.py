@@ -65,7 +65,9 @@ class ObjectTracker:
         """All identities so far. With tracking.offline the paper's second pass links them, which
         looks at the whole recording."""
         tracks = self._tracker.tracks()
-        return link_offline(tracks, self.config.tracking) if self.config.tracking.offline else tracks
+        return (
+            link_offline(tracks, self.config.tracking) if self.config.tracking.offline else tracks
+        )
 
     def restart(self) -> ObjectTracker:
         """A tracker for another recording with the same network."""

@@ -67,7 +67,7 @@ def run_eval(
 
 
 def sequence_folders(data: Path) -> list[Path]:
-    """Folders with annotations.json, in name order; `data` itself if it is one. Raises DataError."""
+    """Folders with annotations.json, in name order; or `data` itself. Raises DataError."""
     if not data.is_dir():
         raise DataError(f"{data}: no such folder; make one with `composenet synth --out {data}`")
     if (data / "annotations.json").exists():
@@ -119,8 +119,9 @@ def _track_and_score(
             else:
                 missing.append(job)
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = {pool.submit(work, folder, variant): (variant, folder)
-                       for variant, folder in missing}
+            futures = {
+                pool.submit(work, folder, variant): (variant, folder) for variant, folder in missing
+            }
             for future in as_completed(futures):
                 variant, folder = futures[future]
                 done[variant, folder] = future.result()
@@ -155,9 +156,7 @@ def score_sequence(
         seconds.append(sum(result.timings_ms.values()) / 1e3)
     if offline:
         histories = [entry for track in tracker.tracks() for entry in track.history]
-        tracked = [
-            tuple(e for e in histories if e.frame_index == frame.index) for frame in frames
-        ]
+        tracked = [tuple(e for e in histories if e.frame_index == frame.index) for frame in frames]
     truth = moved_truth(read_truth(folder), sequence.T_level_source)
     return evaluate_sequence(truth, tracked, estimates, frames=frames, seconds_per_frame=seconds)
 

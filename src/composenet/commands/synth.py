@@ -29,9 +29,7 @@ def run_synth(
     console = Console()
     if out is None and not stats:
         raise DataError("nothing to do: give --out DIR to write sequences, or --stats")
-    options = SceneOptions(
-        frames=frames, image_size=image_size, cad_dir=cad, cad_share=cad_share
-    )
+    options = SceneOptions(frames=frames, image_size=image_size, cad_dir=cad, cad_share=cad_share)
     if out is not None:
         folders = write_split(split, count, out, start, options, workers)
         console.print(f"{len(folders)} sequences in {out}", highlight=False)

@@ -40,5 +40,7 @@ def run_train(
     )
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
     weights = train(chosen, options, source)
-    Console().print(f"wrote {weights}; try it: composenet demo --weights {weights}", highlight=False)
+    Console().print(
+        f"wrote {weights}; try it: composenet demo --weights {weights}", highlight=False
+    )
     return 0

@@ -78,12 +78,13 @@ def fit_similarity(
     H = torch.where(observable[:, None, None], H, eye)
     R = _NearestRotation.apply(H, observable)
     # tr(D S) = max over R of tr(R^T H): its gradient in H is R, so R is held fixed here.
-    gain = (R.detach() * H).sum(dim=(1, 2)) / torch.where(observable, variance, torch.ones_like(variance))
+    gain = (R.detach() * H).sum(dim=(1, 2)) / torch.where(
+        observable, variance, torch.ones_like(variance)
+    )
     scale = torch.where(observable, gain, torch.ones_like(gain))
     R = torch.where(observable[:, None, None], R, eye)
     t = mean_t - scale[:, None] * (R @ mean_s[..., None])[..., 0]
     return SimilarityFit(scale, R, t, observable)
-
 
 
 def _observable(H: Tensor, variance: Tensor, weights: Tensor, tolerance: float) -> Tensor:

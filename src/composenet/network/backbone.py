@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -31,7 +33,7 @@ class Backbone(nn.Module):
         self.stem = SubmanifoldConv(c_in, channels[0])
         self.stem_norm = nn.BatchNorm1d(channels[0])
         self.encoder = nn.ModuleList(_Block(c) for c in channels)
-        pairs = list(zip(channels[:-1], channels[1:], strict=True))
+        pairs = list(pairwise(channels))
         self.down = nn.ModuleList(Down(a, b) for a, b in pairs)
         self.down_norm = nn.ModuleList(nn.BatchNorm1d(b) for _, b in pairs)
         self.up = nn.ModuleList(Up(b, a) for a, b in pairs)

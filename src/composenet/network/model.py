@@ -29,9 +29,7 @@ class ComposeNet(nn.Module):
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
         return self.detection(self.backbone(batch.features, levels))
 
-    def object_fields(
-        self, features: Tensor, batch: VolumeBatch, crops: CropBatch
-    ) -> ObjectFields:
+    def object_fields(self, features: Tensor, batch: VolumeBatch, crops: CropBatch) -> ObjectFields:
         """Completion, correspondences, quality and class of every crop.
 
         features: (N, F) of voxel_fields.

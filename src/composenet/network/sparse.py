@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-OFFSETS = torch.stack(
-    torch.meshgrid(*[torch.arange(-1, 2)] * 3, indexing="ij"), dim=-1
-).reshape(27, 3)
+OFFSETS = torch.stack(torch.meshgrid(*[torch.arange(-1, 2)] * 3, indexing="ij"), dim=-1).reshape(
+    27, 3
+)
 """(27, 3) neighbour offsets in the order of the weights; 13 is the centre; k mirrors 26 - k."""
 
 

@@ -66,8 +66,12 @@ def load_weights(
     try:
         config = from_dict(json.loads(metadata["config"]))
         network = ComposeNet(config.network, config.volume)
-        network.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in tensors.items()})
+        network.load_state_dict(
+            {k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}
+        )
     except (KeyError, ValueError, RuntimeError, ComposenetError) as error:
         reason = str(error).splitlines()[0]
-        raise WeightsError(f"{path}: the weights do not fit their configuration ({reason})") from None
+        raise WeightsError(
+            f"{path}: the weights do not fit their configuration ({reason})"
+        ) from None
     return network.to(device).eval(), config, json.loads(metadata.get("notes", "{}"))

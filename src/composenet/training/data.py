@@ -57,9 +57,7 @@ def samples_of_scene(
         yield make_sample(volume, [scene.object_truth(t.gt_id) for t in seen], seen)
 
 
-def crop_view(
-    frame: Frame, ids: np.ndarray, rng: np.random.Generator
-) -> tuple[Frame, np.ndarray]:
+def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:
     """Blank everything outside a random window: narrower views and objects cut by the border."""
     height, width = frame.depth_m.shape
     w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))

@@ -92,7 +92,8 @@ class Trainer:
             start, _, _ = load_weights(options.start_from)
             self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
-            self.module.network, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay),
+            self.module.network,
+            multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay),
             use_buffers=True,
         )
         self.optimizer = torch.optim.Adam(
@@ -310,5 +311,3 @@ def _tensorboard(out: Path):
     except ImportError:
         return None
     return SummaryWriter(str(out / "tensorboard"))
-
-

@@ -143,5 +143,3 @@ def rotation_square_error(R: Tensor, batch: TrainingBatch, rows: Tensor) -> Tens
         valid = batch.R_grid_object[rows[m]] @ _turns(order, R)
         errors.append((valid - R[m]).square().sum(dim=(1, 2)).min())
     return torch.stack(errors)
-
-

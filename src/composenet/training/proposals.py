@@ -29,12 +29,8 @@ class TrainingCrops:
 
 def box_iou(center_a: Tensor, extents_a: Tensor, center_b: Tensor, extents_b: Tensor) -> Tensor:
     """(A, B) IoU of axis-aligned boxes."""
-    low = torch.maximum(
-        (center_a - extents_a / 2)[:, None], (center_b - extents_b / 2)[None]
-    )
-    high = torch.minimum(
-        (center_a + extents_a / 2)[:, None], (center_b + extents_b / 2)[None]
-    )
+    low = torch.maximum((center_a - extents_a / 2)[:, None], (center_b - extents_b / 2)[None])
+    high = torch.minimum((center_a + extents_a / 2)[:, None], (center_b + extents_b / 2)[None])
     shared = (high - low).clamp_min(0).prod(dim=-1)
     union = extents_a.prod(dim=-1)[:, None] + extents_b.prod(dim=-1)[None] - shared
     return shared / union.clamp_min(1e-9)

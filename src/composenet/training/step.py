@@ -14,7 +14,6 @@ from composenet.training.losses import PoseErrors, detection_losses, object_loss
 from composenet.training.proposals import training_crops
 from composenet.training.targets import TrainingBatch
 
-
 POSE_LOSSES = ("rotation", "scale", "translation")
 
 
@@ -51,5 +50,3 @@ def weighted_sum(losses: dict[str, Tensor], config: TrainingConfig) -> Tensor:
     weights = dataclasses.asdict(config.weights)
     weights["class"] = weights.pop("classes")
     return torch.stack([weights[name] * value for name, value in losses.items()]).sum()
-
-

@@ -33,7 +33,9 @@ def validate(
     for batch in batches:
         batch = batch.to(device)
         fields = network.voxel_fields(batch.volume)
-        boxes = training_crops(batch, (), config.model.network.crop_margin, config.max_boxes, generator)
+        boxes = training_crops(
+            batch, (), config.model.network.crop_margin, config.max_boxes, generator
+        )
         objects = network.object_fields(fields.features, batch.volume, boxes.crops)
         losses, errors = object_losses(objects, batch, boxes)
         for name, value in (detection_losses(fields, batch) | losses).items():
@@ -62,9 +64,9 @@ def _count(proposals: Sequence[Proposals], batch: TrainingBatch) -> torch.Tensor
         proposed += len(p.center)
         if not len(p.center) or not rows.any():
             continue
-        best, which = box_iou(
-            batch.center[rows], batch.extents[rows], p.center, p.extents
-        ).max(dim=1)
+        best, which = box_iou(batch.center[rows], batch.extents[rows], p.center, p.extents).max(
+            dim=1
+        )
         hit = best >= 0.25
         found += int(hit.sum())
         same = p.class_probabilities[which].argmax(dim=1) == batch.class_id[rows]
