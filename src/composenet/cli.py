@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
+from pydantic import Field, TypeAdapter, ValidationError
 
+from composenet.config import Count, Positive, Share
 from composenet.errors import ComposenetError
 from composenet.sequences.options import SequenceOptions
 
 Variant = Literal["full", "no-compl", "no-corr", "no-corr-no-compl"]
 Split = Literal["train", "val", "test"]
+PixelCount = Annotated[int, Field(ge=32)]
 Recording = Annotated[Path, tyro.conf.Positional]
 
 
@@ -25,7 +31,7 @@ class Demo:
     """folder for everything the demo makes"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
-    frames: int = 30
+    frames: Count = 30
     """length of the sequence"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
@@ -45,21 +51,21 @@ class Synth:
     """folder for the sequences"""
     split: Split = "train"
     """the splits never share a scene"""
-    count: int = 1
+    count: Count = 1
     """number of sequences"""
-    start: int = 0
+    start: Annotated[int, Field(ge=0)] = 0
     """index of the first"""
     cad: Path | None = None
     """folder CLASS/*.{obj,ply,off,stl,glb} of meshes to mix in (+Y up, +Z front, metres)"""
-    cad_share: float = 0.5
+    cad_share: Share = 0.5
     """share of the furniture taken from --cad; 1 takes all of it"""
-    image_size: tuple[int, int] = (320, 240)
+    image_size: tuple[PixelCount, PixelCount] = (320, 240)
     """width and height, pixels"""
-    frames: int = 30
+    frames: Count = 30
     """frames a sequence"""
     stats: bool = False
     """print the table of difficulty of the sequences"""
-    workers: int = 1
+    workers: Count = 1
     """processes"""
 
     def run(self) -> int:
@@ -78,21 +84,21 @@ class Train:
     """folder for checkpoint.pt, weights.safetensors and logs"""
     config: Path | None = None
     """JSON of training parameters; default: the package's own"""
-    max_minutes: float = 60.0
+    max_minutes: Positive = 60.0
     """stop cleanly after this time"""
-    max_steps: int | None = None
+    max_steps: Count | None = None
     """stop after this many further steps"""
     device: str = "auto"
     """auto, cpu or cuda; several GPUs: torchrun --nproc-per-node N -m composenet train ..."""
-    workers: int = 1
-    """processes that generate scenes"""
-    threads: int | None = None
+    workers: Annotated[int, Field(ge=0)] = 1
+    """processes that generate scenes; 0: in the training process itself"""
+    threads: Count | None = None
     """compute threads; default: torch's own choice"""
     data: Path | None = None
     """sequences on disk (from `composenet synth`) instead of streaming new ones"""
     cad: Path | None = None
     """folder of CAD meshes to mix into the generated scenes"""
-    cad_share: float = 0.5
+    cad_share: Share = 0.5
     """share of the furniture taken from --cad"""
     start_from: Path | None = None
     """weights to begin a new run from"""
@@ -116,17 +122,19 @@ class TrackCommand:
     """weights to use instead of the shipped ones"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
-    stride: int = 1
+    stride: Count = 1
     """track every N-th frame"""
-    max_frames: int | None = None
+    max_frames: Count | None = None
     """stop after this many frames"""
-    save_every: int = 50
+    save_every: Count = 50
     """write what is done every N frames"""
     variant: Variant = "full"
     """the paper's ablations: without completion, without correspondences, or both"""
     offline: bool = False
     """link tracks over the whole recording at the end (looks into the future)"""
-    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = SequenceOptions()
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(
+        default_factory=SequenceOptions
+    )
 
     def run(self) -> int:
         """Exit code."""
@@ -164,7 +172,7 @@ class Eval:
     """auto, cpu, cuda or cuda:N"""
     offline: bool = False
     """with the offline second pass (looks into the future)"""
-    workers: int = 1
+    workers: Count = 1
     """processes"""
     seed: int = 0
     """noted in the results; tracking itself draws no random numbers"""
@@ -194,7 +202,7 @@ class View:
         return run_view(self.result, replay=self.replay)
 
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "synth": Synth,
     "train": Train,
@@ -206,19 +214,50 @@ COMMANDS = {
 
 def main() -> None:
     """Entry point."""
-    command = tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="composenet",
-        description="Finds, completes, poses and tracks furniture in RGB-D video.",
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
-    sys.exit(_guarded(command))
+    sys.exit(_guarded(_parse))
 
 
-def _guarded(command) -> int:
+def _parse() -> Any:
+    """The command that the arguments ask for. A mistake in them is said in one line, too."""
+    said = io.StringIO()
     try:
-        return command.run()
-    except ComposenetError as error:
+        with contextlib.redirect_stderr(said):
+            command = tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                prog="composenet",
+                description="Finds, completes, poses and tracks furniture in RGB-D video.",
+                config=(tyro.conf.OmitArgPrefixes,),
+            )
+        TypeAdapter(type(command)).validate_python(vars(command))
+        return command
+    except SystemExit as stop:
+        if stop.code:
+            print(f"composenet: {_one_line(said.getvalue())}", file=sys.stderr)
+        raise
+    except ValidationError as error:
+        first = error.errors()[0]
+        option = str(first["loc"][0]).replace("_", "-")
+        print(f"composenet: --{option} {first['input']}: {first['msg']}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _one_line(box: str) -> str:
+    """The message drawn in a box with its title in the frame; what follows a rule is help."""
+    lines = [line.strip(" ╭╮╰╯│") for line in box.splitlines()]
+    title, *body = [line.strip(" ─") for line in lines] or [""]
+    rules = [n for n, line in enumerate(body) if not line]
+    message = " ".join(" ".join(body[: rules[0] if rules else None]).split())
+    return f"{title.lower()}: {message} (composenet COMMAND --help explains)"
+
+
+def _guarded(parse: Callable[[], Any]) -> int:
+    try:
+        code: int = parse().run()
+        return code
+    except BrokenPipeError:  # the reader of our output has gone
+        sys.stderr.close()
+        return 1
+    except (ComposenetError, OSError) as error:
         print(f"composenet: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

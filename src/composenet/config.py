@@ -41,10 +41,10 @@ class NetworkConfig:
 
     backbone_channels: tuple[Count, ...] = (16, 32, 48, 64, 96)
     """channels at strides 1, 2, 4, 8, 16 (bottleneck 1/16 [paper])"""
-    object_channels: tuple[Count, ...] = (24, 48, 96)
+    object_channels: tuple[Count, Count, Count] = (24, 48, 96)
     """channels of the object network at 1/2, 1/4, 1/8 of the crop"""
-    crop_cells: Count = 32
-    """cells a side of the fixed grid each box is sampled on"""
+    crop_cells: Annotated[int, Field(ge=8, multiple_of=8)] = 32
+    """cells a side of the fixed grid each box is sampled on; halved three times"""
     crop_margin: Annotated[float, Field(ge=1)] = 1.25
     """the crop is the proposal grown by this factor"""
     occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4

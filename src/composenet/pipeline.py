@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from composenet.config import Config
+from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, to_dict
 from composenet.detection import propose
 from composenet.errors import ConfigError
 from composenet.network.batch import collate
@@ -79,7 +81,7 @@ def load_tracker(
     *,
     device: str = "auto",
     config: Config | None = None,
-    **tracking: object,
+    **tracking: Any,
 ) -> ObjectTracker:
     """Tracker with the shipped weights or those of a file.
 
@@ -89,26 +91,27 @@ def load_tracker(
     """
     chosen = select_device(device)
     network, own, _ = load_weights(Path(weights) if weights else default_weights(), chosen)
-    if config is not None and config.network.backbone_channels != own.network.backbone_channels:
+    if config is not None and _sizes(config.network) != _sizes(own.network):
         raise ConfigError("config.network does not fit the weights; leave it as they have it")
     config = config or own
-    try:
-        config = replace(config, tracking=replace(config.tracking, **tracking))
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"tracking options: {error}") from None
-    return ObjectTracker(network, config, chosen)
+    changed = from_dict({**to_dict(config.tracking), **tracking}, TrackingConfig)
+    return ObjectTracker(network, replace(config, tracking=changed), chosen)
+
+
+def _sizes(network: NetworkConfig) -> tuple[object, ...]:
+    return network.backbone_channels, network.object_channels, network.crop_cells
 
 
 def select_device(name: str) -> torch.device:
     """The torch device; "auto" takes CUDA where there is one. Raises ConfigError."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise ConfigError(f"--device {name!r}: expected auto, cpu, cuda or cuda:N") from None
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(f"--device {name}: this machine has no CUDA device; use --device cpu")
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise ConfigError(f"--device {name!r}: expected auto, cpu, cuda or cuda:N")
+    device = torch.device(name)
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        found = torch.cuda.device_count()
+        raise ConfigError(f"--device {name}: this machine has {found} CUDA devices; use another")
     return device
 
 

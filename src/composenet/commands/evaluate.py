@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import pickle
-from collections.abc import Sequence
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from composenet.commands.track import _progress
-from composenet.errors import DataError
+from composenet.commands.progress import progress_bar
+from composenet.commands.score_cache import ScoreCache
+from composenet.errors import ComposenetError, DataError
 from composenet.metrics.evaluate import DatasetScores, SequenceScores, aggregate, evaluate_sequence
 from composenet.metrics.report import RunInfo, sections, to_markdown, to_rich, write_results
 from composenet.predictions import read_predictions
@@ -23,7 +28,12 @@ from composenet.records import Box, FloatArray, ObjectFrameTruth, SequenceTruth
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 
-VARIANTS: dict[str, dict[str, bool]] = {
+Job = tuple[str, Path]
+"""variant, sequence folder"""
+Outcome = SequenceScores | str
+"""the scores, or why there are none"""
+
+VARIANTS: dict[str, dict[str, Any]] = {
     "full": {},
     "no-compl": {"use_completion": False},
     "no-corr": {"use_correspondences": False},
@@ -44,26 +54,41 @@ def run_eval(
     workers: int,
     seed: int,
 ) -> int:
-    """The command. Finished sequences are kept in `out`, so that a run can be resumed."""
+    """The command. Finished sequences are kept in `out`, so that a run can be resumed. A sequence
+    that cannot be scored is named at the end and makes the exit code 1."""
     console = Console()
     folders = sequence_folders(data)
+    unknown = sorted(set(variants) - set(VARIANTS))
+    if unknown:
+        raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(VARIANTS)}")
     out.mkdir(parents=True, exist_ok=True)
     if predictions is not None:
-        scores = {"predictions": aggregate([score_folder(f, predictions) for f in folders])}
+        outcomes = {("predictions", f): _guarded(score_folder, f, predictions) for f in folders}
     else:
-        unknown = sorted(set(variants) - set(VARIANTS))
-        if unknown:
-            raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(VARIANTS)}")
-        scores = _track_and_score(
-            folders, out, tuple(variants), weights, device, offline, workers, console
-        )
+        from composenet.network.weights import default_weights
+        from composenet.pipeline import load_tracker
+
+        weights = weights or default_weights()
+        load_tracker(weights, device=device)  # what is wrong with them is said once
+        cache = ScoreCache(out / "sequences", weights, device, offline)
+        jobs = [(variant, folder) for variant in dict.fromkeys(variants) for folder in folders]
+        work = partial(score_sequence, weights=weights, device=device, offline=offline)
+        outcomes = _score_all(jobs, work, cache, workers, console)
+    failed = {job: outcome for job, outcome in outcomes.items() if isinstance(outcome, str)}
+    scores = _aggregated(outcomes)
     info = RunInfo(data=data.resolve().name, seed=seed)
-    write_results(out / "results.json", info, scores)
-    (out / "results.md").write_text(to_markdown(info, scores))
-    for section in sections(scores):
-        console.print(to_rich(section))
-    console.print(f"wrote {out / 'results.json'} and {out / 'results.md'}", highlight=False)
-    return 0
+    lines = [
+        f"not scored: {folder.name} ({name}): {failed[name, folder]}" for name, folder in failed
+    ]
+    if scores:
+        write_results(out / "results.json", info, scores)
+        (out / "results.md").write_text("\n".join([to_markdown(info, scores), *lines]))
+        for section in sections(scores):
+            console.print(to_rich(section))
+        console.print(f"wrote {out / 'results.json'} and {out / 'results.md'}", highlight=False)
+    for line in lines:
+        print(f"composenet: {line}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 def sequence_folders(data: Path) -> list[Path]:
@@ -91,74 +116,103 @@ def score_folder(folder: Path, predictions: Path) -> SequenceScores:
     return evaluate_sequence(truth, [by_index.get(i, ()) for i in range(len(truth.frames))])
 
 
-def _track_and_score(
-    folders: list[Path],
-    out: Path,
-    variants: tuple[str, ...],
-    weights: Path | None,
-    device: str,
-    offline: bool,
+def _aggregated(outcomes: Mapping[Job, Outcome]) -> dict[str, DatasetScores]:
+    """By variant, over the sequences that could be scored, in their order."""
+    scored: dict[str, list[SequenceScores]] = {}
+    for (variant, _), outcome in outcomes.items():
+        if isinstance(outcome, SequenceScores):
+            scored.setdefault(variant, []).append(outcome)
+    return {variant: aggregate(parts) for variant, parts in scored.items()}
+
+
+def _score_all(
+    jobs: Sequence[Job],
+    work: Callable[[Path, str], SequenceScores],
+    cache: ScoreCache,
     workers: int,
     console: Console,
-) -> dict[str, DatasetScores]:
-    cache = out / "sequences"
-    cache.mkdir(exist_ok=True)
-    work = partial(
-        score_sequence, weights=weights, device=device, offline=offline, threads=_threads(workers)
-    )
-    jobs = [(variant, folder) for folder in folders for variant in variants]
-    done: dict[tuple[str, Path], SequenceScores] = {}
-    with _progress(console) as progress:
-        task = progress.add_task("scoring", total=len(jobs), note="")
-        missing = []
-        for job in jobs:
-            stored = cache / f"{job[1].name}.{job[0]}.pkl"
-            if stored.exists():
-                done[job] = pickle.loads(stored.read_bytes())
-                progress.advance(task)
-            else:
-                missing.append(job)
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = {
-                pool.submit(work, folder, variant): (variant, folder) for variant, folder in missing
-            }
-            for future in as_completed(futures):
-                variant, folder = futures[future]
-                done[variant, folder] = future.result()
-                stored = cache / f"{folder.name}.{variant}.pkl"
-                stored.with_suffix(".partial").write_bytes(pickle.dumps(done[variant, folder]))
-                stored.with_suffix(".partial").replace(stored)
-                progress.update(task, advance=1, note=f"{folder.name} {variant}")
-    return {v: aggregate([done[v, folder] for folder in folders]) for v in variants}
+) -> dict[Job, Outcome]:
+    """Every job's outcome, in the order of the jobs, however many workers there are."""
+    done: dict[Job, Outcome] = {}
+    for variant, folder in jobs:
+        if (stored := cache.load(folder, variant)) is not None:
+            done[variant, folder] = stored
+    with progress_bar(console) as progress, _pool(workers) as pool:
+        task = progress.add_task("scoring", total=len(jobs), completed=len(done), note="")
+        futures = {
+            pool.submit(_guarded, work, folder, variant): (variant, folder)
+            for variant, folder in jobs
+            if (variant, folder) not in done
+        }
+        for future in as_completed(futures):
+            variant, folder = futures[future]
+            try:
+                outcome = future.result()
+            except BrokenProcessPool:
+                outcome = "the process that scored it, or one beside it, died (out of memory?)"
+            done[variant, folder] = outcome
+            if isinstance(outcome, SequenceScores):
+                cache.save(folder, variant, outcome)
+            progress.update(task, advance=1, note=f"{folder.name} {variant}")
+    return {job: done[job] for job in jobs}
 
 
-def _threads(workers: int) -> int:
-    return max(1, (os.cpu_count() or 1) // workers)
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes that die of ctrl-C without a word; then nothing more is begun."""
+    quiet = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=quiet) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _guarded(work: Callable[..., SequenceScores], *arguments: object) -> Outcome:
+    """What the work gives, or one line on why it failed: no sequence may stop the others."""
+    try:
+        return work(*arguments)
+    except ComposenetError as error:
+        return str(error)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"{reason} ({Path(place.filename).name}, line {place.lineno})"
 
 
 def score_sequence(
-    folder: Path, variant: str, *, weights: Path | None, device: str, offline: bool, threads: int
+    folder: Path, variant: str, *, weights: Path, device: str, offline: bool
 ) -> SequenceScores:
-    """Track one sequence with one variant and score it. Ground truth is read by the scorer only."""
+    """Track one sequence with one variant and score it. Ground truth is read by the scorer only.
+
+    One compute thread: sums are then taken in the same order on every machine.
+    """
     import torch
 
     from composenet.pipeline import load_tracker
 
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     tracker = load_tracker(weights, device=device, offline=offline, **VARIANTS[variant])
-    frames, tracked, estimates, seconds = [], [], [], []
     sequence = open_sequence(folder)
-    for frame in sequence:
-        result = tracker(frame)
-        frames.append(frame)
-        tracked.append(result.objects)
-        estimates.append(result.estimates)
-        seconds.append(sum(result.timings_ms.values()) / 1e3)
+    frames = list(sequence)
+    results = {frame.index: tracker(frame) for frame in frames}
+    seconds = [sum(result.timings_ms.values()) / 1e3 for result in results.values()]
+    tracked = {index: result.objects for index, result in results.items()}
     if offline:
         histories = [entry for track in tracker.tracks() for entry in track.history]
-        tracked = [tuple(e for e in histories if e.frame_index == frame.index) for frame in frames]
+        tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
     truth = moved_truth(read_truth(folder), sequence.T_level_source)
-    return evaluate_sequence(truth, tracked, estimates, frames=frames, seconds_per_frame=seconds)
+    blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
+    shown = {frame.index: frame for frame in frames}
+    every = range(len(truth.frames))  # frames that could not be read count as seen by nobody
+    return evaluate_sequence(
+        truth,
+        [tracked.get(i, ()) for i in every],
+        [results[i].estimates if i in results else () for i in every],
+        frames=[shown.get(i, blank) for i in every],
+        seconds_per_frame=seconds,
+    )
 
 
 def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTruth:

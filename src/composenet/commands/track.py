@@ -6,18 +6,11 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
+from composenet.commands.progress import progress_bar
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
@@ -49,7 +42,7 @@ def track_recording(
         weights_id=weights_id,
         save_every=save_every,
     )
-    with writer, _interruptible() as stop, _progress(console) as progress:
+    with writer, _interruptible() as stop, progress_bar(console) as progress:
         task = progress.add_task(sequence.name, total=len(sequence), note="")
         seconds = 0.0
         for done, frame in enumerate(sequence, start=1):
@@ -75,7 +68,7 @@ def run_track(
     stride: int,
     max_frames: int | None,
     save_every: int,
-    variant: dict[str, object],
+    variant: dict[str, Any],
     reading: SequenceOptions,
 ) -> int:
     """The command. Returns the exit code."""
@@ -117,15 +110,3 @@ def _interruptible() -> Iterator[list[bool]]:
         yield asked
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-        console=console,
-    )

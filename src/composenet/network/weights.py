@@ -69,9 +69,10 @@ def load_weights(
         network.load_state_dict(
             {k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}
         )
+        notes = json.loads(metadata.get("notes", "{}"))
     except (KeyError, ValueError, RuntimeError, ComposenetError) as error:
-        reason = str(error).splitlines()[0]
+        reason = " ".join(str(error).split())[:200]
         raise WeightsError(
             f"{path}: the weights do not fit their configuration ({reason})"
         ) from None
-    return network.to(device).eval(), config, json.loads(metadata.get("notes", "{}"))
+    return network.to(device).eval(), config, notes

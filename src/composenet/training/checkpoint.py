@@ -55,9 +55,13 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise WeightsError(f"{path}: not a readable checkpoint ({error})") from None
+        reason = str(error).strip().splitlines()[0][:200]
+        raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise WeightsError(f"{path}: not a {FORMAT} file; delete it or name another --out")
+    missing = {"config", "progress", "model", "average", "optimizer"} - set(data)
+    if missing:
+        raise WeightsError(f"{path}: the checkpoint lacks {min(missing)!r}; delete it")
     data["config"] = from_dict(data["config"], TrainingConfig)
     data["progress"] = Progress(**data["progress"])
     return data

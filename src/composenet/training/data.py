@@ -16,6 +16,9 @@ from composenet.training.disk import DiskScene, disk_scene
 from composenet.training.targets import Sample, TrainingBatch, collate_samples, make_sample
 from composenet.volume.voxels import voxelize
 
+POOL_BATCHES = 6
+"""A worker mixes the frames of this many batches."""
+
 
 @dataclass(frozen=True)
 class SceneSource:
@@ -38,8 +41,9 @@ class SceneSource:
 def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
-    """frames_per_scene samples at random times, each with a slightly wrong floor height."""
-    chosen = rng.choice(scene.n_frames, config.frames_per_scene, replace=False)
+    """At most frames_per_scene samples at random times, each with a slightly wrong floor height."""
+    count = min(config.frames_per_scene, scene.n_frames)
+    chosen = rng.choice(scene.n_frames, count, replace=False)
     for i in map(int, chosen):
         rendered = scene.render(i, color=False)
         truth = scene.frame_truth(i, rendered.ids)
@@ -93,7 +97,7 @@ class SceneStream(IterableDataset):
         while True:
             pool.extend(samples_of_scene(self.source.scene(index), self.config, rng))
             index += step
-            while len(pool) >= 6 * self.config.batch_frames:
+            while len(pool) >= POOL_BATCHES * self.config.batch_frames:
                 picked = [
                     pool.pop(int(rng.integers(len(pool)))) for _ in range(self.config.batch_frames)
                 ]
@@ -105,7 +109,7 @@ def fixed_batches(
 ) -> list[TrainingBatch]:
     """The same validation batches every time: frames_per_scene frames of n_scenes scenes."""
     rng = np.random.default_rng(1)
-    samples = []
+    samples: list[Sample] = []
     for index in range(n_scenes):
         samples.extend(samples_of_scene(source.scene(index), config, rng, augment=False))
     size = config.batch_frames

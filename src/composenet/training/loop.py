@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-import os
-import signal
+import re
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import torch
-from rich.console import Console
 from torch import nn
-from torch.distributed import all_reduce, destroy_process_group, init_process_group
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
+from composenet.errors import ComposenetError, DataError, WeightsError
+from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
 from composenet.training.checkpoint import Progress, load_checkpoint, save_checkpoint
 from composenet.training.config import TrainingConfig
-from composenet.training.data import SceneSource, SceneStream, fixed_batches
+from composenet.training.data import POOL_BATCHES, SceneSource, SceneStream, fixed_batches
+from composenet.training.log import StepLog
+from composenet.training.processes import Group, StopRequest, leave_signals_to_parent
 from composenet.training.step import LossModule, weighted_sum
 from composenet.training.targets import TrainingBatch
 from composenet.training.validation import validate
+
+PREFETCHED = 4
+"""Batches that a worker makes ahead."""
 
 
 @dataclass(frozen=True)
@@ -42,41 +49,6 @@ class RunOptions:
     """weights to begin a new run from"""
 
 
-@dataclass(frozen=True)
-class Group:
-    """The processes that train together (torchrun sets the environment)."""
-
-    rank: int
-    size: int
-    device: torch.device
-
-    @staticmethod
-    def start(device: str) -> Group:
-        """Join the group, if there is one, and choose this process's device."""
-        rank, size = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        if device == "auto":
-            device = "cuda" if torch.cuda.is_available() else "cpu"
-        if device == "cuda":
-            device = f"cuda:{os.environ.get('LOCAL_RANK', 0)}"
-            torch.cuda.set_device(device)
-        if size > 1:
-            init_process_group("nccl" if device.startswith("cuda") else "gloo")
-        return Group(rank, size, torch.device(device))
-
-    def any(self, flag: bool) -> bool:
-        """True in all processes if True in one."""
-        if self.size == 1:
-            return flag
-        value = torch.tensor(float(flag), device=self.device)
-        all_reduce(value)
-        return value.item() > 0
-
-    def stop(self) -> None:
-        """Leave the group."""
-        if self.size > 1:
-            destroy_process_group()
-
-
 class Trainer:
     """State of one run: network, moving average, optimiser, progress."""
 
@@ -90,7 +62,8 @@ class Trainer:
         self.module = LossModule(config).to(group.device)
         if options.start_from and not resumed:
             start, _, _ = load_weights(options.start_from)
-            self.module.network.load_state_dict(start.state_dict())
+            with _fitting(options.start_from):
+                self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
             self.module.network,
             multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay),
@@ -100,9 +73,10 @@ class Trainer:
             self.module.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
         if resumed:
-            self.module.load_state_dict(resumed["model"])
-            self.average.load_state_dict(resumed["average"])
-            self.optimizer.load_state_dict(resumed["optimizer"])
+            with _fitting(self.checkpoint_path):
+                self.module.load_state_dict(resumed["model"])
+                self.average.load_state_dict(resumed["average"])
+                self.optimizer.load_state_dict(resumed["optimizer"])
         self.model: nn.Module = self.module
         if group.size > 1:
             self.model = DistributedDataParallel(self.module, find_unused_parameters=True)
@@ -149,8 +123,26 @@ class Trainer:
             "device": str(self.group.device.type),
             "seed": self.config.seed,
         }
-        network = self.average.module
-        save_weights(network, self.config.model, self.options.out / "weights.safetensors", notes)
+        path = self.options.out / "weights.safetensors"
+        save_weights(self.averaged_network, self.config.model, path, notes)
+
+    @property
+    def averaged_network(self) -> ComposeNet:
+        """The moving average of the network, which is what is kept and shown."""
+        return cast(ComposeNet, self.average.module)
+
+
+@contextmanager
+def _fitting(path: Path) -> Iterator[None]:
+    """Raises WeightsError where the states of a file do not fit the configuration."""
+    try:
+        yield
+    except (KeyError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{path}: made with another configuration ({reason}); give the --config it was "
+            "begun with, or another --out"
+        ) from None
 
 
 def learning_rate(config: TrainingConfig, steps_done: int, run_share: float) -> float:
@@ -161,30 +153,20 @@ def learning_rate(config: TrainingConfig, steps_done: int, run_share: float) -> 
     return rate
 
 
-class _StopRequest:
-    """Set by ctrl-C or a termination signal; the step under way is finished first."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        for name in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(name, self._ask)
-
-    def _ask(self, *_: object) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-
-
 def train(config: TrainingConfig, options: RunOptions, source: SceneSource) -> Path:
-    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path."""
+    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path.
+
+    Raises WeightsError where a checkpoint or weights cannot be used, DataError for bad data.
+    """
     group = Group.start(options.device)
     if options.threads:
         torch.set_num_threads(options.threads)
     options.out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(config, options, group)
-    log = _Log(options, quiet=group.rank > 0)
+    log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
     try:
-        _run(trainer, options, source, log)
+        with StopRequest() as stop:
+            _run(trainer, options, source, log, stop)
     finally:
         trainer.save()
         log.close()
@@ -192,32 +174,26 @@ def train(config: TrainingConfig, options: RunOptions, source: SceneSource) -> P
     return options.out / "weights.safetensors"
 
 
-def _run(trainer: Trainer, options: RunOptions, source: SceneSource, log: _Log) -> None:
-    stop, start = _StopRequest(), time.monotonic()
+def _run(
+    trainer: Trainer, options: RunOptions, source: SceneSource, log: StepLog, stop: StopRequest
+) -> None:
+    start = time.monotonic()
     progress, seconds_before = trainer.progress, trainer.progress.seconds
     validation = fixed_batches(
-        SceneSource("val", source.cad_dir, source.cad_share, source.data_dir),
+        SceneSource("val", source.cad_dir, source.cad_share),
         trainer.config,
-        options.validation_scenes,
+        options.validation_scenes if trainer.group.rank == 0 else 0,
     )
-    stream = SceneStream(
-        source, trainer.config, progress.scenes, trainer.group.rank, trainer.group.size
-    )
-    loader = DataLoader(
-        stream,
-        batch_size=None,
-        num_workers=options.workers,
-        prefetch_factor=4 if options.workers else None,
-    )
+    batches = _batches(trainer, options, source)
     last_save = last_validation = time.monotonic()
     steps_before = progress.step
-    batches = iter(loader)
     while True:
         now = time.monotonic()
         share = (now - start) / 60 / options.max_minutes
         if options.max_steps:
             share = max(share, (progress.step - steps_before) / options.max_steps)
-        if trainer.group.any(stop.asked or share >= 1):
+        share = trainer.group.largest(1.0 if stop.asked_at else share)
+        if share >= 1:
             break
         batch = next(batches)
         waited = time.monotonic() - now
@@ -232,7 +208,28 @@ def _run(trainer: Trainer, options: RunOptions, source: SceneSource, log: _Log) 
         if time.monotonic() - last_validation > 60 * options.validate_every_minutes:
             log.validation(progress, _validate(trainer, validation))
             last_validation = time.monotonic()
-    log.validation(progress, _validate(trainer, validation))
+    if not stop.asked_at:
+        log.validation(progress, _validate(trainer, validation))
+
+
+def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iterator[TrainingBatch]:
+    """Batches from the workers. Counts the scenes that those draw before the first step."""
+    config, group, progress = trainer.config, trainer.group, trainer.progress
+    stream = SceneStream(source, config, progress.scenes, group.rank, group.size)
+    loader = DataLoader(
+        stream,
+        batch_size=None,
+        num_workers=options.workers,
+        prefetch_factor=PREFETCHED if options.workers else None,
+        worker_init_fn=leave_signals_to_parent,
+    )
+    ahead = (POOL_BATCHES + PREFETCHED) * _scenes_per_step(config, group.size)
+    progress.scenes += ahead * max(1, options.workers)
+    try:
+        yield from loader
+    except ComposenetError as error:  # from a worker it comes with that one's traceback
+        last = str(error).strip().splitlines()[-1]
+        raise DataError(re.sub(r"^composenet\.errors\.\w+: ", "", last)) from None
 
 
 def _scenes_per_step(config: TrainingConfig, processes: int) -> int:
@@ -243,71 +240,4 @@ def _scenes_per_step(config: TrainingConfig, processes: int) -> int:
 def _validate(trainer: Trainer, batches: list[TrainingBatch]) -> dict[str, float]:
     if trainer.group.rank:
         return {}
-    return validate(trainer.average.module, batches, trainer.config, trainer.group.device)
-
-
-class _Log:
-    """A line a step to log.csv-like text, TensorBoard where installed, a line now and then."""
-
-    def __init__(self, options: RunOptions, quiet: bool) -> None:
-        self.console = Console(quiet=quiet)
-        self.file = None if quiet else (options.out / "steps.log").open("a")
-        self.board = None if quiet else _tensorboard(options.out)
-        self.options, self.last, self.mean = options, 0.0, {}
-
-    def step(
-        self,
-        progress: Progress,
-        values: dict[str, float],
-        rate: float,
-        waited: float,
-        took: float,
-        share: float,
-    ) -> None:
-        if self.file is None:
-            return
-        shown = values | {"rate": rate, "wait_s": waited, "step_s": took}
-        line = " ".join(f"{name}={value:.4g}" for name, value in shown.items())
-        self.file.write(f"step={progress.step} {line}\n")
-        for name, value in shown.items():
-            self.mean[name] = 0.98 * self.mean.get(name, value) + 0.02 * value
-            if self.board and progress.step % 20 == 0:
-                self.board.add_scalar(f"train/{name}", value, progress.step)
-        if time.monotonic() - self.last > 20:
-            self.last = time.monotonic()
-            self.file.flush()
-            frames_a_second = progress.frames / max(progress.seconds, 1e-9)
-            left = (1 - share) * self.options.max_minutes
-            self.console.print(
-                f"step {progress.step}  loss {self.mean['total']:.3f}  "
-                f"iou {self.mean.get('completion_iou', 0):.2f}  "
-                f"rotation {self.mean.get('rotation_deg', 180):.0f} deg  "
-                f"{frames_a_second:.1f} frames/s  waiting {100 * self.mean['wait_s'] / self.mean['step_s']:.0f}%  "
-                f"up to {left:.0f} min left",
-                highlight=False,
-            )
-
-    def validation(self, progress: Progress, values: dict[str, float]) -> None:
-        if self.file is None or not values:
-            return
-        line = "  ".join(f"{name} {value:.3g}" for name, value in values.items())
-        self.console.print(f"validation at step {progress.step}: {line}", highlight=False)
-        self.file.write(f"validation step={progress.step} {line}\n")
-        self.file.flush()
-        for name, value in values.items():
-            if self.board:
-                self.board.add_scalar(f"validation/{name}", value, progress.step)
-
-    def close(self) -> None:
-        if self.file is not None:
-            self.file.close()
-        if self.board:
-            self.board.close()
-
-
-def _tensorboard(out: Path):
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        return None
-    return SummaryWriter(str(out / "tensorboard"))
+    return validate(trainer.averaged_network, batches, trainer.config, trainer.group.device)

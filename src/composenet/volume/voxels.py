@@ -66,13 +66,13 @@ def quarter_turn(T_world_camera: NDArray[np.floating]) -> NDArray[np.float64]:
 def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
     """Edge-preserving mean: each pixel becomes the mean of the neighbours whose depth differs
     by less than floor_m + sensor_noise * z^2 metres (depth noise grows with the square of
-    distance). (H, W) float32 -> the same; invalid pixels stay 0."""
+    distance). (H, W) float32 -> the same; invalid pixels (not positive, not finite) become 0."""
     height, width = depth.shape
     out = np.zeros_like(depth)
     for v in range(height):
         for u in range(width):
             z = depth[v, u]
-            if z <= 0:
+            if not 0 < z < np.inf:
                 continue
             limit = floor_m + sensor_noise * z * z
             total, count = 0.0, 0
@@ -199,7 +199,7 @@ def voxelize(
     R_world_grid = quarter_turn(frame.T_world_camera)
     T_turned_camera = np.array(frame.T_world_camera, dtype=np.float64)
     T_turned_camera[:3] = R_world_grid.T @ T_turned_camera[:3]
-    K = frame.camera.K
+    K = np.asarray(frame.camera.K, dtype=np.float64)
     depth_m = smooth_depth(np.ascontiguousarray(frame.depth_m, dtype=np.float32))
     points, normals, valid = _points_and_normals(
         depth_m,

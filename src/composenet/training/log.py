@@ -1,0 +1,82 @@
+"""What a training run says: a line a step to a file, TensorBoard, a line now and then."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from composenet.training.checkpoint import Progress
+
+
+class StepLog:
+    """Writes steps.log and TensorBoard events to a folder; quiet: writes and says nothing."""
+
+    def __init__(self, out: Path, minutes: float, quiet: bool) -> None:
+        self.console = Console(quiet=quiet)
+        self.file = None if quiet else (out / "steps.log").open("a")
+        self.board = None if quiet else _tensorboard(out)
+        self.minutes, self.last = minutes, 0.0
+        self.mean: dict[str, float] = {}
+
+    def step(
+        self,
+        progress: Progress,
+        values: dict[str, float],
+        rate: float,
+        waited: float,
+        took: float,
+        share: float,
+    ) -> None:
+        """Note one step. share: 0..1 of the run that was done before it."""
+        if self.file is None:
+            return
+        shown = values | {"rate": rate, "wait_s": waited, "step_s": took}
+        line = " ".join(f"{name}={value:.4g}" for name, value in shown.items())
+        self.file.write(f"step={progress.step} {line}\n")
+        for name, value in shown.items():
+            self.mean[name] = 0.98 * self.mean.get(name, value) + 0.02 * value
+            if self.board and progress.step % 20 == 0:
+                self.board.add_scalar(f"train/{name}", value, progress.step)
+        if time.monotonic() - self.last > 20:
+            self.last = time.monotonic()
+            self.file.flush()
+            frames_a_second = progress.frames / max(progress.seconds, 1e-9)
+            waiting = 100 * self.mean["wait_s"] / self.mean["step_s"]
+            left = (1 - share) * self.minutes
+            self.console.print(
+                f"step {progress.step}  loss {self.mean['total']:.3f}  "
+                f"iou {self.mean.get('completion_iou', 0):.2f}  "
+                f"rotation {self.mean.get('rotation_deg', 180):.0f} deg  "
+                f"{frames_a_second:.1f} frames/s  waiting {waiting:.0f}%  "
+                f"up to {left:.0f} min left",
+                highlight=False,
+            )
+
+    def validation(self, progress: Progress, values: dict[str, float]) -> None:
+        """Note figures of a validation; nothing where there are none."""
+        if self.file is None or not values:
+            return
+        line = "  ".join(f"{name} {value:.3g}" for name, value in values.items())
+        self.console.print(f"validation at step {progress.step}: {line}", highlight=False)
+        self.file.write(f"validation step={progress.step} {line}\n")
+        self.file.flush()
+        for name, value in values.items():
+            if self.board:
+                self.board.add_scalar(f"validation/{name}", value, progress.step)
+
+    def close(self) -> None:
+        """Write what is still held back."""
+        if self.file is not None:
+            self.file.close()
+        if self.board:
+            self.board.close()
+
+
+def _tensorboard(out: Path):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(out / "tensorboard"))

@@ -1,0 +1,79 @@
+"""The processes of a training run, and how they are told to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from torch.distributed import ReduceOp, all_reduce, destroy_process_group, init_process_group
+
+from composenet.pipeline import select_device
+
+
+@dataclass(frozen=True)
+class Group:
+    """The processes that train together (torchrun sets the environment)."""
+
+    rank: int
+    size: int
+    device: torch.device
+
+    @staticmethod
+    def start(device: str) -> Group:
+        """Join the group, if there is one, and choose this process's device."""
+        rank, size = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        chosen = select_device(device)
+        if chosen.type == "cuda":
+            chosen = select_device(f"cuda:{chosen.index or os.environ.get('LOCAL_RANK', 0)}")
+            torch.cuda.set_device(chosen)
+        if size > 1:
+            init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+        return Group(rank, size, chosen)
+
+    def largest(self, value: float) -> float:
+        """The largest of the processes' values, the same in all of them."""
+        if self.size == 1:
+            return value
+        shared = torch.tensor(value, dtype=torch.float64, device=self.device)
+        all_reduce(shared, ReduceOp.MAX)
+        return shared.item()
+
+    def stop(self) -> None:
+        """Leave the group."""
+        if self.size > 1:
+            destroy_process_group()
+
+
+class StopRequest:
+    """Set by ctrl-C or a termination signal; the step under way is finished first.
+
+    A second ctrl-C stops at once, but not within a second of the first: torchrun passes on the
+    signal that the terminal has already sent.
+    """
+
+    def __init__(self) -> None:
+        self.asked_at: float | None = None
+
+    def __enter__(self) -> Self:
+        names = (signal.SIGINT, signal.SIGTERM)
+        self._before = {name: signal.signal(name, self._ask) for name in names}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name, handler in self._before.items():
+            signal.signal(name, handler)
+
+    def _ask(self, *_: object) -> None:
+        if self.asked_at is None:
+            self.asked_at = time.monotonic()
+        elif time.monotonic() - self.asked_at > 1:
+            raise KeyboardInterrupt
+
+
+def leave_signals_to_parent(_worker: int) -> None:
+    """In a worker: ctrl-C reaches the whole process group, but the parent decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
