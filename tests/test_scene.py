@@ -18,6 +18,7 @@ from composenet.records import (
 )
 from composenet.synth import cad, stats
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
+from composenet.synth.solid import union_of
 
 SHARED_CAD = Path(__file__).resolve().parents[2] / "shared" / "cad"
 SHORT = SceneOptions(frames=6)
@@ -33,6 +34,12 @@ def floor_rectangle(scene: Scene, frame: int, slot: int) -> m3.CrossSection:
     T = scene.T_world_shape[frame, slot]
     corners = np.array([[-ex, -ey], [ex, -ey], [ex, ey], [-ex, ey]]) / 2
     return m3.CrossSection([corners @ T[:2, :2].T + T[:2, 3]])
+
+
+def placed_solid(scene: Scene, frame: int, slot: int) -> m3.Manifold:
+    solid = union_of(scene.shapes[slot])
+    assert solid is not None
+    return solid.transform(scene.T_world_shape[frame, slot, :3])
 
 
 def bottoms(scene: Scene, frame: int) -> np.ndarray:
@@ -74,12 +81,33 @@ def test_nothing_interpenetrates_or_floats(scenes: list[Scene]) -> None:
             assert (bottom > -1e-4).all()
             standing = 1 + np.flatnonzero(bottom < 1e-4)
             rectangles = [floor_rectangle(scene, frame, int(k)) for k in standing]
-            for a, b in combinations(rectangles, 2):
-                assert (a ^ b).area() < 1e-6
-            # What does not stand on the floor stands on something below its centre.
+            for (i, a), (j, b) in combinations(zip(standing, rectangles, strict=True), 2):
+                if (a ^ b).area() > 1e-6:  # one is below the other's top
+                    assert {"table", "desk"} & {scene.shapes[k].class_name for k in (i, j)}
+                    shared = placed_solid(scene, frame, i) ^ placed_solid(scene, frame, j)
+                    assert shared.volume() < 1e-9
+            # What does not stand on the floor hangs or stands on something below its centre.
             for k in 1 + np.flatnonzero(bottom >= 1e-4):
+                if scene.shapes[k].mount_m:
+                    assert bottom[k - 1] == pytest.approx(scene.shapes[k].mount_m, abs=1e-4)
+                    continue
                 at = m3.CrossSection.circle(0.005).translate(scene.T_world_shape[frame, k, :2, 3])
                 assert any((at ^ r).area() > 0 for r in rectangles)
+
+
+def test_chairs_go_below_tables(scenes: list[Scene]) -> None:
+    below = 0
+    for scene in scenes:
+        kinds = [shape.class_name for shape in scene.shapes]
+        tops = [k for k, kind in enumerate(kinds) if kind in ("table", "desk")]
+        chairs = [k for k, kind in enumerate(kinds) if kind == "chair"]
+        overlaps = [
+            (floor_rectangle(scene, 0, a) ^ floor_rectangle(scene, 0, b)).area()
+            for a in tops
+            for b in chairs
+        ]
+        below += sum(area > 0.02 for area in overlaps)
+    assert below >= 3
 
 
 def test_motion_stays_on_the_ground_and_is_flagged(scenes: list[Scene]) -> None:

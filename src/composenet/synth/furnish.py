@@ -33,25 +33,29 @@ def furnish(rng: np.random.Generator, make: MakeShape) -> Layout:
         layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng)
         _PROGRAMMES[kind](layout, make)
         _fill(layout, make, kind)
-        pieces = [i for i, item in enumerate(layout.items) if item.shape.class_name != "clutter"]
-        if len(pieces) < MIN_FURNITURE:
+        if len(layout.furniture) < MIN_FURNITURE:
             continue
-        _add_clutter(layout, make, pieces)
-        if len(layout.items) - len(pieces) >= MIN_CLUTTER:
+        _add_clutter(layout, make)
+        if len(layout.items) - len(layout.furniture) >= MIN_CLUTTER:
             return layout
 
 
 def _full(layout: Layout) -> bool:
-    return len(layout.items) >= MAX_FURNITURE
+    return len(layout.furniture) >= MAX_FURNITURE
 
 
-def _add(layout: Layout, make: MakeShape, class_name: str) -> int | None:
-    """One piece where its kind usually stands; its index, or None where it does not fit."""
+def _add(
+    layout: Layout,
+    make: MakeShape,
+    class_name: str,
+    fits: Callable[[Shape], bool] = lambda shape: True,
+) -> int | None:
+    """One piece where its kind usually stands; its index, or None where there is no room."""
     if _full(layout):
         return None
     wall = class_name not in ("chair", "table") and layout.rng.random() < 0.92
     for _ in range(2):
-        shape = make(class_name)
+        shape = _fitting(make, class_name, fits)
         if layout.against_wall(shape) if wall else layout.free(shape):
             return len(layout.items) - 1
     return None
@@ -65,19 +69,39 @@ def _some(layout: Layout, make: MakeShape, class_name: str, low: int, high: int)
 def _desk_with_chair(layout: Layout, make: MakeShape) -> None:
     desk = _add(layout, make, "desk")
     if desk is not None and layout.rng.random() < 0.85 and not _full(layout):
-        layout.before(desk, make("chair"), float(layout.rng.uniform(0.02, 0.25)), np.pi)
+        layout.tuck(desk, make("chair"), 0.0, float(layout.rng.normal(0, 0.1)))
 
 
-def _table_with_chairs(layout: Layout, make: MakeShape) -> None:
-    """Chairs of one kind around a table, looking at it."""
-    table = _add(layout, make, "table")
+def _table_with_chairs(layout: Layout, make: MakeShape, most: int = 6) -> None:
+    """Two chairs or more of one kind around a table high enough to sit at, most of them pushed
+    below it."""
+    table = _add(layout, make, "table", _to_sit_at)
     if table is None:
         return
-    chair = make("chair")
-    for angle in layout.rng.permutation(4)[: int(layout.rng.integers(2, 5))] * (np.pi / 2):
-        if not _full(layout):
-            gap = float(layout.rng.uniform(0.02, 0.3))
-            layout.beside(table, chair, float(angle), gap, np.pi)
+    chair = _fitting(make, "chair", _to_dine_on)
+    seats = layout.seats(table, chair)
+    wanted = min(int(layout.rng.integers(2, most + 1)), MAX_FURNITURE - len(layout.furniture))
+    for k in layout.rng.permutation(len(seats)):
+        angle, aside = seats[k]
+        if wanted > 0:
+            wanted -= layout.tuck(table, chair, angle, aside + layout.rng.normal(0, 0.03))
+
+
+def _to_sit_at(table: Shape) -> bool:
+    return bool(0.66 < table.extents_m[2] < 0.9 and table.extents_m[:2].min() > 0.55)
+
+
+def _to_dine_on(chair: Shape) -> bool:
+    return bool(chair.extents_m[:2].max() < 0.68 and chair.extents_m[2] < 1.15)
+
+
+def _fitting(make: MakeShape, class_name: str, fits: Callable[[Shape], bool]) -> Shape:
+    """The first of a few shapes that fits, or the last."""
+    for _ in range(6):
+        shape = make(class_name)
+        if fits(shape):
+            break
+    return shape
 
 
 def _sofa_group(layout: Layout, make: MakeShape) -> None:
@@ -85,7 +109,7 @@ def _sofa_group(layout: Layout, make: MakeShape) -> None:
     if sofa is None or _full(layout):
         return
     if layout.rng.random() < 0.75:
-        layout.before(sofa, make("table"), float(layout.rng.uniform(0.25, 0.5)), 0.0)
+        layout.beside(sofa, make("table"), 0.0, float(layout.rng.uniform(0.25, 0.5)), 0.0)
 
 
 def _bed_with_cabinet(layout: Layout, make: MakeShape) -> None:
@@ -147,7 +171,7 @@ def _fill(layout: Layout, make: MakeShape, kind: str) -> None:
     """More of the room's own furniture where its floor is large."""
     floor_m2 = layout.room.size_m[0] * layout.room.size_m[1]
     wanted = min(MAX_FURNITURE, int(floor_m2 / layout.rng.uniform(3.0, 6.0)))
-    for _ in range(wanted - len(layout.items)):
+    for _ in range(wanted - len(layout.furniture)):
         _add(layout, make, str(layout.rng.choice(_MORE[kind])))
 
 
@@ -181,9 +205,9 @@ _PROGRAMMES: dict[str, Callable[[Layout, MakeShape], None]] = {
 }
 
 
-def _add_clutter(layout: Layout, make: MakeShape, pieces: list[int]) -> None:
+def _add_clutter(layout: Layout, make: MakeShape) -> None:
     """Small things on furniture, and lamps, plants, boxes on the floor."""
-    holders = [i for i in pieces if layout.items[i].shape.class_name in _HOLDERS]
+    holders = [i for i in layout.furniture if layout.items[i].shape.class_name in _HOLDERS]
     for index in holders:
         for _ in range(int(layout.rng.integers(0, 4))):
             layout.on_top(index, make("small clutter"))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.synth.placement import Footprint, Item, Layout, inside, overlaps
+from composenet.synth.collision import Footprint, Item, inside, overlaps, touches
+from composenet.synth.placement import Layout
 
 MIN_MOVING_FRAMES = 5
 
@@ -29,14 +30,14 @@ def move_items(layout: Layout, frames: int) -> NDArray[np.float64] | None:
     on them comes along. None where nothing has room to move."""
     rng, items = layout.rng, layout.items
     paths = np.tile([[*item.xyz[:2], item.yaw] for item in items], (frames, 1, 1))
-    floor = [i for i, item in enumerate(items) if item.support is None]
+    floor = [i for i, item in enumerate(items) if item.on_floor]
     furniture = [i for i in floor if items[i].shape.class_name != "clutter"]
     wanted, moved = int(rng.integers(1, 4)), 0
     # Small things are moved more often, as they are in life.
     size = np.array([np.prod(items[i].extents_m[:2]) for i in furniture])
     order = np.argsort(size * rng.exponential(1.0, len(size)))
     for index in np.array(furniture)[order]:
-        path = _roam(layout, paths, int(index), floor)
+        path = _roam(layout, paths, int(index))
         if _moving_frames(path) >= min(MIN_MOVING_FRAMES, frames // 3):
             paths[:, index], moved = path, moved + 1
         if moved == wanted:
@@ -47,7 +48,7 @@ def move_items(layout: Layout, frames: int) -> NDArray[np.float64] | None:
     if rng.random() < 0.3:
         index = int(rng.choice(others)) if others else floor[0]
         if items[index].shape.class_name == "clutter":
-            paths[:, index] = _roam(layout, paths, index, floor)
+            paths[:, index] = _roam(layout, paths, index)
     _carry(items, paths)
     return paths
 
@@ -56,14 +57,12 @@ def _moving_frames(path: NDArray[np.float64]) -> int:
     return int(np.count_nonzero(np.abs(np.diff(path, axis=0)).sum(axis=1) > 0.01))
 
 
-def _roam(
-    layout: Layout, paths: NDArray[np.float64], index: int, floor: list[int]
-) -> NDArray[np.float64]:
+def _roam(layout: Layout, paths: NDArray[np.float64], index: int) -> NDArray[np.float64]:
     """(F, 3): one mover among the others, stop and go."""
-    rng = layout.rng
-    _, _, _, hx, hy = layout.items[index].footprint
-    others = [i for i in floor if i != index]
-    half = np.array([layout.items[i].footprint[3:] for i in others]).reshape(-1, 2)
+    rng, mover = layout.rng, layout.items[index]
+    _, _, _, hx, hy = mover.footprint
+    others = [i for i, o in enumerate(layout.items) if o.support is None and i != index]
+    things = [layout.items[i] for i in others]
     path = paths[:, index].copy()
     going, walk = bool(rng.random() < 0.5), _walk(rng, int(rng.integers(2, 6)))
     for f in range(1, len(path)):
@@ -73,16 +72,17 @@ def _roam(
             walk = _walk(rng, f + int(rng.integers(6, 18) if going else rng.integers(2, 6)))
         if not going:
             continue
-        obstacles = np.concatenate([paths[f, others], half], axis=1)
         for attempt in range(10):
             heading = walk.heading if attempt == 0 else rng.uniform(-np.pi, np.pi)
             burst = 2.6 if rng.random() < 0.04 else rng.uniform(0.8, 1.2)
             step = walk.step_m * burst * np.array([np.cos(heading), np.sin(heading)])
             x, y = path[f - 1, :2] + step
             turn = walk.turn * burst * (1 if attempt < 5 else -1)
-            footprint: Footprint = (float(x), float(y), float(path[f - 1, 2] + turn), hx, hy)
-            if inside(layout.room, footprint) and not overlaps(footprint, obstacles, 0.01):
-                path[f] = footprint[:3]
+            place = (float(x), float(y), float(path[f - 1, 2] + turn))
+            if inside(layout.room, (*place, hx, hy)) and not touches(
+                mover, place, things, paths[f, others], 0.01
+            ):
+                path[f] = place
                 walk = Walk(heading + rng.normal(0, 0.1), walk.step_m, walk.turn, walk.until)
                 break
     return path
@@ -211,7 +211,7 @@ def _free_places(
     """Whether a body of that radius may stand at a place (2,) in a frame, among the things on
     the floor that reach higher than above_m."""
     items = layout.items
-    tall = [i for i, o in enumerate(items) if o.support is None and o.extents_m[2] > above_m]
+    tall = [i for i, o in enumerate(items) if o.support is None and o.span_m[1] > above_m]
     half = np.array([items[i].footprint[3:] for i in tall]).reshape(-1, 2)
 
     def is_free(at: NDArray[np.float64], frame: int) -> bool:

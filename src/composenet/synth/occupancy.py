@@ -7,10 +7,12 @@ and a half cells occupies the cell of its midpoint, so thin boards and legs neve
 
 Other shapes (CAD with holes and sheets): generalised winding number (Jacobson et al. 2013) above
 one half, and the cells of all surface that this solid does not reach. That takes about a
-second: keep the result where a mesh is used again.
+second and is kept: stretched copies of a mesh fill the same cells of their boxes.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import igl
 import numpy as np
@@ -30,12 +32,23 @@ _BLOCK = 4  # cells, a power of 2: largest block that may share one winding numb
 
 def occupancy(shape: Shape, cells: int = 64) -> NDArray[np.bool_]:
     """Which of (cells, cells, cells) [ix, iy, iz] over the shape's tight box are solid."""
+    if not shape.watertight:
+        return _kept_by_winding(shape.prototype or shape, cells).copy()
+    points, _ = _in_cells(shape, cells)
+    return _solid_by_rays(points, shape.faces, shape.face_part, cells)
+
+
+@lru_cache(maxsize=512)
+def _kept_by_winding(shape: Shape, cells: int) -> NDArray[np.bool_]:
+    points, cell_m = _in_cells(shape, cells)
+    return _solid_by_winding(points, shape.faces, cell_m, cells)
+
+
+def _in_cells(shape: Shape, cells: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(V, 3) vertices where cell i spans [i, i + 1], and the size of a cell (3,) in metres."""
     low = shape.vertices.min(axis=0).astype(np.float64)
     size = np.maximum(shape.extents_m, 1e-6)
-    points = (shape.vertices - low) / size * cells  # cell units: cell i spans [i, i + 1]
-    if shape.watertight:
-        return _solid_by_rays(points, shape.faces, shape.face_part, cells)
-    return _solid_by_winding(points, shape.faces, size / cells, cells)
+    return (shape.vertices - low) / size * cells, size / cells
 
 
 def _solid_by_rays(

@@ -1,43 +1,18 @@
-"""Where furniture stands: room programmes and placement without interpenetration.
-
-Footprints are (x, y, yaw, half x, half y) in the room frame: oriented rectangles on the floor.
-"""
+"""Where furniture stands: placement without interpenetration."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from composenet.synth.room import Room
+from composenet.synth.collision import Item, inside, overlaps, touches
+from composenet.synth.columns import height_map
+from composenet.synth.room import Room, Wall
 from composenet.synth.shape import Shape
 
-Footprint = tuple[float, float, float, float, float]
 GAP_M = 0.03
-
-
-@dataclass(frozen=True)
-class Item:
-    """One thing in the room. xyz: its box's centre, room frame. support: index of the item
-    it stands on, or None for the floor."""
-
-    shape: Shape
-    xyz: tuple[float, float, float]
-    yaw: float
-    support: int | None = None
-
-    @cached_property
-    def extents_m(self) -> NDArray[np.float64]:
-        """(3,) of the shape."""
-        return self.shape.extents_m
-
-    @cached_property
-    def footprint(self) -> Footprint:
-        ex, ey, _ = self.extents_m
-        return (self.xyz[0], self.xyz[1], self.yaw, ex / 2, ey / 2)
 
 
 @dataclass
@@ -48,18 +23,23 @@ class Layout:
     rng: np.random.Generator
     items: list[Item] = field(default_factory=list)
 
-    def blocked(self, footprint: Footprint, gap_m: float = GAP_M) -> bool:
-        """Whether the footprint leaves the room or comes closer than gap_m to a thing."""
-        obstacles = [item.footprint for item in self.items if item.support is None]
-        obstacles += self.room.keep_free
-        return not inside(self.room, footprint) or overlaps(footprint, obstacles, gap_m)
+    @property
+    def furniture(self) -> list[int]:
+        """Indices of what belongs to the ten classes."""
+        return [i for i, item in enumerate(self.items) if item.shape.class_name != "clutter"]
 
     def place(self, shape: Shape, x: float, y: float, yaw: float, gap_m: float = GAP_M) -> bool:
-        """Stand the shape on the floor there if that is free."""
-        ex, ey, ez = shape.extents_m
-        if self.blocked((x, y, yaw, ex / 2, ey / 2), gap_m):
+        """Stand the shape on the floor there, or hang it at its height, if that is free."""
+        item = Item(shape, (x, y, shape.mount_m + float(shape.extents_m[2]) / 2), yaw)
+        others = [o for o in self.items if o.support is None]
+        if (
+            not inside(self.room, item.footprint)
+            or item.span_m[1] > self.room.height_m
+            or overlaps(item.footprint, self.room.keep_free, 0.0)
+            or touches(item, item.place, others, np.array([o.place for o in others]), gap_m)
+        ):
             return False
-        self.items.append(Item(shape, (x, y, ez / 2), yaw))
+        self.items.append(item)
         return True
 
     def against_wall(self, shape: Shape) -> bool:
@@ -70,10 +50,40 @@ class Layout:
             if wall.length_m < ey + 0.05:
                 continue
             along = self.rng.uniform(ey / 2 + 0.02, wall.length_m - ey / 2 - 0.02)
-            x, y = wall.point(along, ex / 2 + self.rng.uniform(0.02, 0.08))
+            if shape.mount_m and not self.on_wall(shape, wall, along):
+                continue
+            off = 0.01 if shape.mount_m else self.rng.uniform(0.02, 0.08)
+            x, y = wall.point(along, ex / 2 + off)
             if self.place(shape, x, y, wall.yaw + self.rng.normal(0, 0.015)):
                 return True
         return False
+
+    def on_wall(self, shape: Shape, wall: Wall, along_m: float) -> bool:
+        """Whether the wall is closed where the shape would hang."""
+        low, high = along_m - shape.extents_m[1] / 2, along_m + shape.extents_m[1] / 2
+        bottom, top = shape.mount_m, shape.mount_m + shape.extents_m[2]
+        return not any(
+            low < hole.end_m + 0.05
+            and high > hole.start_m - 0.05
+            and bottom < hole.top_m + 0.05
+            and top > hole.bottom_m - 0.05
+            for hole in wall.openings
+        )
+
+    def row(self, wall: Wall, start_m: float, shapes: Sequence[Shape]) -> list[int | None]:
+        """Side by side along a wall, flush, from start_m on: the index of each, or None where
+        it does not fit (its place then stays free)."""
+        placed: list[int | None] = []
+        for shape in shapes:
+            ex, ey, _ = shape.extents_m
+            x, y = wall.point(start_m + ey / 2, ex / 2 + 0.01)
+            fits = start_m + ey <= wall.length_m and (
+                not shape.mount_m or self.on_wall(shape, wall, start_m + ey / 2)
+            )
+            fits = fits and self.place(shape, x, y, wall.yaw, 0.0)
+            placed.append(len(self.items) - 1 if fits else None)
+            start_m += ey + 0.002
+        return placed
 
     def free(self, shape: Shape) -> bool:
         """Anywhere, mostly along the walls' directions."""
@@ -85,30 +95,61 @@ class Layout:
                 return True
         return False
 
-    def before(self, index: int, shape: Shape, gap_m: float, yaw_offset: float) -> bool:
-        """In front of an item, turned by yaw_offset from it."""
-        return self.beside(index, shape, 0.0, gap_m, yaw_offset)
-
     def beside(
         self, index: int, shape: Shape, angle: float, gap_m: float, yaw_offset: float
     ) -> bool:
-        """At the item's side in the direction `angle` (a multiple of 90 degrees from its front)."""
-        x, y, yaw, hx, hy = self.items[index].footprint
+        """At the item's side in the direction `angle` (a multiple of 90 degrees from its front),
+        turned by yaw_offset from that direction."""
+        slack = max(0.0, self._sides(index, angle)[1] - 0.25)
+        return any(
+            self._at_side(index, shape, angle, self.rng.uniform(-slack, slack), gap_m, yaw_offset)
+            for _ in range(6)
+        )
+
+    def tuck(self, index: int, shape: Shape, angle: float, aside_m: float) -> bool:
+        """A seat at the item's side, facing it, mostly pushed below its top as far as there is
+        room (up to 70 % of its depth), sometimes pulled out or turned away."""
+        ex, roll, turn = float(shape.extents_m[0]), self.rng.random(), self.rng.normal(0, 0.09)
+        wanted = -ex * self.rng.uniform(0.0, 0.7)
+        if roll < 0.25:
+            wanted = self.rng.uniform(0.03, 0.35)
+        if roll < 0.12:
+            turn = self.rng.uniform(-1.3, 1.3)
+        turn = np.pi + (turn if roll < 0.12 else float(np.clip(turn, -0.26, 0.26)))
+        tries = np.linspace(wanted, max(wanted, 0.0) + 0.1, 6)
+        return any(self._at_side(index, shape, angle, aside_m, float(g), turn) for g in tries)
+
+    def seats(self, index: int, shape: Shape) -> list[tuple[float, float]]:
+        """(angle, aside) of the places at an item's four sides where the seat fits."""
+        places = []
+        for angle in np.arange(4) * np.pi / 2:
+            length = 2 * self._sides(index, angle)[1]
+            count = int(np.clip(length / (shape.extents_m[1] + 0.1), 1, 3))
+            offsets = (np.arange(count) + 0.5) * length / count - length / 2
+            places += [(float(angle), float(aside)) for aside in offsets]
+        return places
+
+    def _sides(self, index: int, angle: float) -> tuple[float, float]:
+        """Half the item's extents in the direction `angle` from its front, and across."""
+        _, _, _, hx, hy = self.items[index].footprint
+        return (hx, hy) if abs(np.cos(angle)) > 0.5 else (hy, hx)
+
+    def _at_side(
+        self,
+        index: int,
+        shape: Shape,
+        angle: float,
+        aside_m: float,
+        gap_m: float,
+        yaw_offset: float,
+    ) -> bool:
+        x, y, yaw, _, _ = self.items[index].footprint
         ex, ey, _ = shape.extents_m
-        along_x = abs(np.cos(angle)) > 0.5
         depth = ex if abs(np.cos(yaw_offset)) > 0.5 else ey
-        reach = (hx if along_x else hy) + gap_m + depth / 2
-        slack = max(0.0, (hy if along_x else hx) - 0.25)
-        for _ in range(6):
-            aside = self.rng.uniform(-slack, slack)
-            dx = reach * np.cos(angle) - aside * np.sin(angle)
-            dy = reach * np.sin(angle) + aside * np.cos(angle)
-            wx = x + dx * np.cos(yaw) - dy * np.sin(yaw)
-            wy = y + dx * np.sin(yaw) + dy * np.cos(yaw)
-            turn = yaw + angle + yaw_offset + self.rng.normal(0, 0.12)
-            if self.place(shape, float(wx), float(wy), float(turn), 0.01):
-                return True
-        return False
+        reach = self._sides(index, angle)[0] + gap_m + depth / 2
+        c, s = np.cos(yaw + angle), np.sin(yaw + angle)
+        at = (x + reach * c - aside_m * s, y + reach * s + aside_m * c)
+        return self.place(shape, float(at[0]), float(at[1]), yaw + angle + yaw_offset, 0.01)
 
     def on_top(self, index: int, shape: Shape) -> bool:
         """Standing on a flat part of an item's upper side."""
@@ -118,7 +159,8 @@ class Layout:
         nx, ny = (int(np.ceil(max(ex, ey) / c)) + 1 for c in cell)
         if nx >= tops.shape[0] or ny >= tops.shape[1]:
             return False
-        others = [o.footprint for o in self.items if o.support == index]
+        others = [o for o in self.items if o.support == index or o.shape.mount_m]
+        places = np.array([o.place for o in others])
         for _ in range(12):
             i = int(self.rng.integers(tops.shape[0] - nx))
             j = int(self.rng.integers(tops.shape[1] - ny))
@@ -130,80 +172,11 @@ class Layout:
             c, s = np.cos(item.yaw), np.sin(item.yaw)
             x, y = item.xyz[0] + c * dx - s * dy, item.xyz[1] + s * dx + c * dy
             yaw = float(self.rng.uniform(-np.pi, np.pi))
-            if overlaps((x, y, yaw, ex / 2, ey / 2), others, 0.01):
-                continue
             z = item.xyz[2] + float(patch.max()) + ez / 2
             if z + ez / 2 > self.room.height_m:
                 return False
-            self.items.append(Item(shape, (float(x), float(y), z), yaw, index))
-            return True
+            thing = Item(shape, (float(x), float(y), z), yaw, index)
+            if not touches(thing, thing.place, others, places, 0.01):
+                self.items.append(thing)
+                return True
         return False
-
-
-def inside(room: Room, footprint: Footprint) -> bool:
-    """Whether the footprint lies within the room's floor."""
-    x, y, yaw, hx, hy = footprint
-    reach_x = abs(hx * np.cos(yaw)) + abs(hy * np.sin(yaw))
-    reach_y = abs(hx * np.sin(yaw)) + abs(hy * np.cos(yaw))
-    width, depth = room.size_m
-    if x < reach_x or y < reach_y or x > width - reach_x or y > depth - reach_y:
-        return False
-    return room.notch is None or not overlaps(footprint, [room.notch], 0.0)
-
-
-def overlaps(
-    footprint: Footprint, others: list[Footprint] | NDArray[np.floating], gap_m: float
-) -> bool:
-    """Whether the footprint comes closer than gap_m to any of the others."""
-    if len(others) == 0:
-        return False
-    return bool(_overlaps(np.array(footprint), np.asarray(others, dtype=np.float64), gap_m))
-
-
-@numba.njit(cache=True, nogil=True)
-def _overlaps(a, others, gap):  # type: ignore[no-untyped-def]
-    """Separating axes of two rectangles: the four directions of their sides."""
-    ca, sa = np.cos(a[2]), np.sin(a[2])
-    for k in range(len(others)):
-        b = others[k]
-        cb, sb = np.cos(b[2]), np.sin(b[2])
-        dx, dy = b[0] - a[0], b[1] - a[1]
-        along, across = abs(ca * cb + sa * sb), abs(sa * cb - ca * sb)
-        if (
-            abs(ca * dx + sa * dy) < a[3] + b[3] * along + b[4] * across + gap
-            and abs(-sa * dx + ca * dy) < a[4] + b[3] * across + b[4] * along + gap
-            and abs(cb * dx + sb * dy) < b[3] + a[3] * along + a[4] * across + gap
-            and abs(-sb * dx + cb * dy) < b[4] + a[3] * across + a[4] * along + gap
-        ):
-            return True
-    return False
-
-
-def height_map(shape: Shape, cells: int = 24) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Height of the shape's upper side above its centre, (cells, cells) over its footprint
-    [ix, iy], and the size of a cell (2,), metres."""
-    cell = shape.extents_m[:2] / cells
-    corners = shape.vertices[shape.faces].astype(np.float64)
-    tops = np.full((cells, cells), -np.inf)
-    _drop(corners, shape.extents_m[:2], tops)
-    return tops, cell
-
-
-@numba.njit(cache=True, nogil=True)
-def _drop(corners, extents, tops):  # type: ignore[no-untyped-def]
-    cells = len(tops)
-    cx, cy = extents[0] / cells, extents[1] / cells
-    for f in range(len(corners)):
-        x = (corners[f, :, 0] + extents[0] / 2) / cx - 0.5
-        y = (corners[f, :, 1] + extents[1] / 2) / cy - 0.5
-        area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
-        if abs(area) < 1e-12:
-            continue
-        for i in range(max(0, int(np.ceil(x.min()))), min(cells - 1, int(x.max())) + 1):
-            for j in range(max(0, int(np.ceil(y.min()))), min(cells - 1, int(y.max())) + 1):
-                b = ((i - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (j - y[0])) / area
-                c = ((x[1] - x[0]) * (j - y[0]) - (i - x[0]) * (y[1] - y[0])) / area
-                if b >= 0 and c >= 0 and b + c <= 1:
-                    p, q, r = corners[f, 0, 2], corners[f, 1, 2], corners[f, 2, 2]
-                    z = p + b * (q - p) + c * (r - p)
-                    tops[i, j] = max(tops[i, j], z)

@@ -264,7 +264,11 @@ def stretched(shape: Shape, rng: np.random.Generator) -> Shape:
     factors = np.exp(rng.uniform(np.log(LOW_SCALE), np.log(HIGH_SCALE), 3))
     if shape.symmetry in (Symmetry.FOUR, Symmetry.INF):
         factors[1] = factors[0]
-    return replace(shape, vertices=shape.vertices * factors.astype(np.float32))
+    return replace(
+        shape,
+        vertices=shape.vertices * factors.astype(np.float32),
+        prototype=shape.prototype or shape,
+    )
 
 
 def _camera(rng: np.random.Generator, image_size: tuple[int, int]) -> Camera:

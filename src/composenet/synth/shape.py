@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import manifold3d as m3
 import numpy as np
@@ -23,9 +24,9 @@ class Material:
     shininess: float = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
-    """One object, centred on its box.
+    """One object, centred on its box. Two shapes are equal only where they are the same one.
 
     class_name: one of CLASS_NAMES or "clutter". vertices: (V, 3) float32, metres, object axes.
     faces: (F, 3) int32, counter-clockwise seen from outside. face_part: (F,) int32, the
@@ -42,8 +43,10 @@ class Shape:
     face_material: NDArray[np.int32]
     materials: tuple[Material, ...]
     watertight: bool = True
+    mount_m: float = 0.0
+    prototype: Shape | None = None
 
-    @property
+    @cached_property
     def extents_m(self) -> NDArray[np.float64]:
         """(3,) full extents along the object axes, metres."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
@@ -61,7 +64,13 @@ class ShapeBuilder:
         if not part.is_empty():
             self._parts.append((part, material))
 
-    def build(self, class_name: str, style: str, symmetry: Symmetry) -> Shape:
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3) low and high corner of all parts. Raises ValueError when there are none."""
+        boxes = np.array([part.bounding_box() for part, _ in self._parts]).reshape(-1, 2, 3)
+        return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+    def build(self, class_name: str, style: str, symmetry: Symmetry, mount_m: float = 0.0) -> Shape:
         """All parts together, centred on their common box. Raises ValueError when empty."""
         if not self._parts:
             raise ValueError(f"{class_name}/{style}: a shape needs at least one part")
@@ -86,4 +95,5 @@ class ShapeBuilder:
             face_part=np.concatenate(part_ids),
             face_material=np.concatenate(material_ids),
             materials=tuple(materials),
+            mount_m=mount_m,
         )

@@ -19,7 +19,7 @@ def canonical_mesh(shape: Shape, occupancy: NDArray[np.bool_]) -> trimesh.Trimes
     The union of the parts; where these are not closed, the surface of its occupancy
     (64, 64, 64).
     """
-    solid = _union(shape) if shape.watertight else None
+    solid = union_of(shape) if shape.watertight else None
     if solid is None:
         vertices, faces = _voxel_surface(occupancy, shape.extents_m)
     else:
@@ -29,8 +29,8 @@ def canonical_mesh(shape: Shape, occupancy: NDArray[np.bool_]) -> trimesh.Trimes
     return trimesh.Trimesh(vertices / scale, faces, process=False)
 
 
-def _union(shape: Shape) -> m3.Manifold | None:
-    """None where a part is no solid (then nothing can be said about the union)."""
+def union_of(shape: Shape) -> m3.Manifold | None:
+    """The solid of all parts; None where a part is none (then the union is unknown)."""
     parts = []
     for part in np.unique(shape.face_part):
         used, faces = np.unique(shape.faces[shape.face_part == part], return_inverse=True)
