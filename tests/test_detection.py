@@ -1,0 +1,161 @@
+"""Mean shift against scikit-learn's; proposals from fields built by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from sklearn.cluster import MeanShift
+
+from composenet.config import DetectionConfig
+from composenet.detection import mean_shift, propose
+from composenet.network.batch import VolumeBatch
+from composenet.network.detection_head import VoxelFields
+
+CONFIG = DetectionConfig()
+VOXEL_M = 0.05
+
+
+def blobs(seed: int, count: int, spread: float = 1.5, apart: float = 30.0) -> torch.Tensor:
+    """Votes around well-separated centres, between 20 and 80 each."""
+    rng = np.random.default_rng(seed)
+    places = rng.permutation(np.stack(np.meshgrid(*[range(3)] * 3), -1).reshape(-1, 3))[:count]
+    centers = apart * places + rng.uniform(-4, 4, (count, 3))
+    parts = [c + spread * rng.normal(size=(int(rng.integers(20, 80)), 3)) for c in centers]
+    return torch.from_numpy(np.concatenate(parts)).float()
+
+
+def partition(labels: Sequence[int]) -> set[frozenset[int]]:
+    labels = np.asarray(labels)
+    return {frozenset(np.flatnonzero(labels == label).tolist()) for label in set(labels.tolist())}
+
+
+@pytest.mark.parametrize(("seed", "count"), [(0, 1), (1, 3), (2, 6), (3, 9)])
+def test_mean_shift_equals_scikit_learn(seed: int, count: int) -> None:
+    points = blobs(seed, count)
+    oracle = MeanShift(bandwidth=8.0).fit(points.numpy())
+    modes, member = mean_shift(points, 8.0, 50, bin_size=0.05)
+    assert len(modes) == len(oracle.cluster_centers_) == count
+    assert partition(member.tolist()) == partition(oracle.labels_)
+    gaps = torch.cdist(modes, torch.from_numpy(oracle.cluster_centers_).float())
+    assert gaps.amin(dim=1).max() < 0.05
+
+
+def test_coarse_bins_find_the_same_objects() -> None:
+    points = blobs(4, 5)
+    fine, coarse = (mean_shift(points, 8.0, 20, bin_size=size)[1] for size in (0.05, 1.0))
+    assert partition(fine.tolist()) == partition(coarse.tolist())
+
+
+def test_order_and_place_do_not_matter() -> None:
+    points = blobs(5, 4)
+    modes, member = mean_shift(points, 8.0, 20)
+    order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))
+    shuffled, shuffled_member = mean_shift(points[order], 8.0, 20)
+    torch.testing.assert_close(shuffled, modes, atol=1e-3, rtol=0)
+    assert torch.equal(shuffled_member, member[order])
+    step = torch.tensor([16.0, -32.0, 8.0])  # whole bins
+    moved, moved_member = mean_shift(points + step, 8.0, 20)
+    torch.testing.assert_close(moved, modes + step, atol=1e-3, rtol=0)
+    assert torch.equal(moved_member, member)
+
+
+def test_the_strongest_mode_comes_first() -> None:
+    sizes = (30, 90, 60)
+    parts = [torch.full((n, 3), 40.0 * i) for i, n in enumerate(sizes)]
+    modes, member = mean_shift(torch.cat(parts), 8.0, 20)
+    np.testing.assert_allclose(modes[:, 0], [40, 80, 0])
+    assert torch.bincount(member).tolist() == [90, 60, 30]
+
+
+@dataclass(frozen=True)
+class Thing:
+    """center, extents in voxels; objectness: probability of its voxels."""
+
+    center: tuple[float, float, float]
+    extents: tuple[float, float, float]
+    class_id: int
+    voxels: int = 200
+    objectness: float = 0.9
+    frame: int = 0
+
+
+def field_of(things: Sequence[Thing], frames: int = 1) -> tuple[VoxelFields, VolumeBatch]:
+    """Voxels scattered over each thing that know its box, and floor that belongs to none."""
+    g = torch.Generator().manual_seed(0)
+    rows, centers, extents, logits, objectness = [], [], [], [], []
+    floor = [
+        Thing((60, 60, 0), (120, 120, 1), 0, 300, objectness=0.05, frame=f) for f in range(frames)
+    ]
+    for thing in (*things, *floor):
+        center, size = torch.tensor(thing.center), torch.tensor(thing.extents)
+        sites = (center + (torch.rand(thing.voxels, 3, generator=g) - 0.5) * size).round().long()
+        rows.append(torch.cat([torch.full((thing.voxels, 1), thing.frame), sites.abs()], dim=1))
+        noise = 0.3 * torch.randn(thing.voxels, 3, generator=g)
+        centers.append(center + noise - noise.mean(dim=0))
+        extents.append(size.expand(thing.voxels, 3))
+        one_hot = torch.nn.functional.one_hot(torch.tensor(thing.class_id), 10)
+        logits.append(4.0 * one_hot.expand(thing.voxels, 10))
+        objectness.append(torch.full((thing.voxels,), thing.objectness).logit())
+    coords = torch.cat(rows)
+    fields = VoxelFields(
+        features=torch.zeros(len(coords), 1),
+        objectness=torch.cat(objectness),
+        center_offset=torch.cat(centers) - coords[:, 1:],
+        extents=torch.cat(extents),
+        class_logits=torch.cat(logits),
+    )
+    eye = torch.eye(4).expand(frames, 4, 4)
+    depth = torch.zeros(frames, 4, 4)
+    batch = VolumeBatch(
+        coords, fields.features, depth, eye[:, :3, :3], eye, depth[:, 0, 0], VOXEL_M
+    )
+    return fields, batch
+
+
+CHAIR = Thing((20, 20, 9), (12, 12, 18), 4, objectness=0.95)
+TABLE = Thing((60, 25, 7), (30, 20, 14), 8, objectness=0.9)
+SOFA = Thing((40, 80, 8), (16, 40, 16), 7, objectness=0.8)
+
+
+def test_three_objects_three_boxes() -> None:
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), CONFIG)
+    things = [CHAIR, TABLE, SOFA]  # by score
+    assert found.class_probabilities.argmax(dim=1).tolist() == [t.class_id for t in things]
+    np.testing.assert_allclose(found.center / VOXEL_M, [t.center for t in things], atol=0.01)
+    np.testing.assert_allclose(found.extents / VOXEL_M, [t.extents for t in things], rtol=1e-5)
+    np.testing.assert_allclose(found.score, [t.objectness for t in things], rtol=1e-5)
+    np.testing.assert_array_equal(found.voxels, 200)
+    np.testing.assert_allclose(found.class_probabilities.sum(dim=1), 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("voxels", "kept"), [(49, 1), (50, 2)])
+def test_small_clusters_are_dropped(voxels: int, kept: int) -> None:
+    lamp = Thing((90, 90, 10), (6, 6, 10), 0, voxels)
+    (found,) = propose(*field_of([CHAIR, lamp]), CONFIG)
+    assert len(found.center) == kept
+
+
+@pytest.mark.parametrize("things", [[], [Thing((20, 20, 9), (12, 12, 18), 4, objectness=0.4)]])
+def test_nothing_found(things: list[Thing]) -> None:
+    (found,) = propose(*field_of(things), CONFIG)
+    assert found.center.shape == found.extents.shape == (0, 3)
+    assert found.class_probabilities.shape == (0, 10) and found.score.shape == (0,)
+
+
+def test_frames_of_a_batch_do_not_mix() -> None:
+    there = Thing(TABLE.center, TABLE.extents, TABLE.class_id, frame=1)
+    first, second, third = propose(*field_of([CHAIR, there], frames=3), CONFIG)
+    assert first.class_probabilities.argmax(dim=1).tolist() == [CHAIR.class_id]
+    assert second.class_probabilities.argmax(dim=1).tolist() == [TABLE.class_id]
+    assert len(third.center) == 0
+
+
+def test_no_more_than_asked_for_and_the_strongest_of_them() -> None:
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), DetectionConfig(max_proposals=2))
+    assert found.class_probabilities.argmax(dim=1).tolist() == [CHAIR.class_id, TABLE.class_id]
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), DetectionConfig(min_score=0.85))
+    assert len(found.center) == 2
