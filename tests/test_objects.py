@@ -1,0 +1,212 @@
+"""From proposals to posed objects, with a network that knows the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+
+from composenet.config import Config, NetworkConfig, TrackingConfig
+from composenet.detection import Proposals
+from composenet.geometry.box import OrientedBox, aabb_of_oriented, iou
+from composenet.geometry.transform import angle_between_deg, make_T, rotation_z
+from composenet.network.batch import CropBatch, VolumeBatch, collate
+from composenet.network.detection_head import VoxelFields
+from composenet.network.object_net import ObjectFields
+from composenet.objects import estimate_objects
+from composenet.records import CLASS_NAMES, ObjectEstimate
+from composenet.volume.voxels import FEATURE_NAMES, Volume
+
+CELLS = 32
+CONFIG = Config(network=NetworkConfig(crop_cells=CELLS))
+NO_COMPLETION = replace(CONFIG, tracking=TrackingConfig(use_completion=False))
+SOFA = CLASS_NAMES.index("sofa")
+QUARTERS = [0, 1, 2, 3]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A box-shaped object in the world. yaw: of its front."""
+
+    center: np.ndarray
+    extents_m: np.ndarray
+    yaw: float
+
+    @property
+    def R(self) -> np.ndarray:
+        return rotation_z(self.yaw)
+
+    @property
+    def scale_m(self) -> float:
+        return float(np.linalg.norm(self.extents_m))
+
+    @property
+    def bounds(self):
+        return aabb_of_oriented(OrientedBox(self.center, self.R, self.extents_m))
+
+
+BLOCK = Block(np.array([3.0, -1.0, 0.45]), np.array([0.8, 1.6, 0.9]), 0.6)
+
+
+def volume_of(quarter: int) -> Volume:
+    """An empty grid, turned by a quarter and away from the world's origin."""
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=float)
+    return Volume(
+        coords=np.ones((1, 3), np.int32),
+        features=np.zeros((1, len(FEATURE_NAMES)), np.float32),
+        labels=np.zeros(1, np.int32),
+        shape=(96, 96, 48),
+        voxel_size_m=0.05,
+        T_world_grid=make_T(R, np.array([1.0, -3.0, -0.1])),
+        depth_m=np.zeros((4, 4), np.float32),
+        K=np.eye(3),
+        T_camera_grid=np.eye(4),
+    )
+
+
+class Oracle:
+    """In place of the network: completion and correspondences are those of the block. Its cells
+    within 10 cm of the side turned to the grid's -x are the observed surface."""
+
+    def __init__(self, block: Block, volume: Volume, collapsed: bool = False) -> None:
+        R, low = volume.T_world_grid[:3, :3], volume.T_world_grid[:3, 3]
+        self.R = torch.from_numpy(R.T @ block.R).float()
+        self.t = torch.from_numpy(R.T @ (block.center - low)).float()
+        self.half = torch.from_numpy(block.extents_m / 2).float()
+        self.scale_m, self.collapsed = block.scale_m, collapsed
+
+    def object_fields(
+        self, features: torch.Tensor, batch: VolumeBatch, crops: CropBatch
+    ) -> ObjectFields:
+        m = len(crops.center)
+        points = crops.points(CELLS)
+        inside = (((points - self.t) @ self.R).abs() <= self.half).all(dim=-1)
+        front = torch.where(inside, points[..., 0], torch.inf).amin(dim=1, keepdim=True)
+        surface = inside & (points[..., 0] < front + 0.1)
+        nocs = (crops.points(CELLS // 2) - self.t) @ self.R / self.scale_m
+        if self.collapsed:
+            nocs = nocs * torch.tensor([0.0, 0.0, 1.0])
+        half = (m, 3, CELLS // 2, CELLS // 2, CELLS // 2)
+        return ObjectFields(
+            occupancy=torch.where(inside, 8.0, -8.0).view(m, CELLS, CELLS, CELLS),
+            nocs=nocs.transpose(1, 2).reshape(half),
+            surface=surface.view(m, CELLS, CELLS, CELLS),
+            quality=torch.full((m,), 4.0),
+            class_logits=torch.zeros(m, 10),
+        )
+
+
+def proposals_of(volume: Volume, *blocks: Block, shift_m: float = 0.0) -> Proposals:
+    R, low = volume.T_world_grid[:3, :3], volume.T_world_grid[:3, 3]
+    centers = np.array([R.T @ (b.bounds.center + shift_m - low) for b in blocks])
+    extents = np.array([np.abs(R.T) @ b.bounds.extents for b in blocks])
+    m = len(blocks)
+    return Proposals(
+        center=torch.from_numpy(centers.reshape(m, 3)).float(),
+        extents=torch.from_numpy(extents.reshape(m, 3)).float(),
+        class_probabilities=torch.full((m, 10), 0.02).index_fill(1, torch.tensor([SOFA]), 0.82),
+        score=torch.linspace(0.9, 0.5, m),
+        voxels=torch.full((m,), 200.0),
+    )
+
+
+def estimated(
+    volume: Volume, oracle: Oracle, proposals: Proposals, config: Config = CONFIG
+) -> tuple[ObjectEstimate, ...]:
+    fields = VoxelFields(*[torch.zeros(1, 1)] * 5)
+    return estimate_objects(oracle, fields, collate([volume]), volume, proposals, config)  # type: ignore[arg-type]
+
+
+def cell_m(proposals: Proposals) -> float:
+    return float(proposals.extents.max()) * CONFIG.network.crop_margin / CELLS
+
+
+@pytest.mark.parametrize("quarter", QUARTERS)
+@pytest.mark.parametrize("shift_m", [0.0, 0.06])
+def test_pose_size_and_box_of_a_known_block(quarter: int, shift_m: float) -> None:
+    volume = volume_of(quarter)
+    proposals = proposals_of(volume, BLOCK, shift_m=shift_m)
+    (found,) = estimated(volume, Oracle(BLOCK, volume), proposals)
+    step = cell_m(proposals)
+    S = found.S_world_canonical
+    assert found.pose_observable and found.class_id == SOFA
+    assert S.scale_m == pytest.approx(BLOCK.scale_m, rel=1e-3)
+    assert angle_between_deg(S.R, BLOCK.R) < 0.1
+    np.testing.assert_allclose(S.t, BLOCK.center, atol=1e-3)
+    np.testing.assert_allclose(found.extents_m, BLOCK.extents_m, atol=1.2 * step)
+    np.testing.assert_allclose(found.box.center, BLOCK.bounds.center, atol=step)
+    # The corners of the turned block lie between cell centres.
+    np.testing.assert_allclose(found.box.extents, BLOCK.bounds.extents, atol=2 * step)
+    assert iou(found.box, BLOCK.bounds) > 0.85
+    quality = 1 / (1 + np.exp(-4.0))
+    assert found.score == pytest.approx(np.sqrt(0.9 * quality) * 0.82, rel=1e-4)
+
+
+def test_points_lie_in_the_block_and_correspond() -> None:
+    volume = volume_of(1)
+    (found,) = estimated(volume, Oracle(BLOCK, volume), proposals_of(volume, BLOCK))
+    local = (found.points_world - BLOCK.center) @ BLOCK.R
+    assert np.all(np.abs(local) <= BLOCK.extents_m / 2 + 1e-3)
+    np.testing.assert_allclose(found.points_canonical, local / BLOCK.scale_m, atol=2e-3)
+    filled = len(found.points_world) * np.prod(proposals_of(volume, BLOCK).extents.numpy())
+    volume_m3 = filled * CONFIG.network.crop_margin**3 / CELLS**3
+    assert volume_m3 == pytest.approx(np.prod(BLOCK.extents_m), rel=0.05)
+
+
+@pytest.mark.parametrize("quarter", QUARTERS)
+def test_the_canonical_reconstruction_is_the_block(quarter: int) -> None:
+    volume = volume_of(quarter)
+    (found,) = estimated(volume, Oracle(BLOCK, volume), proposals_of(volume, BLOCK))
+    cells = (np.arange(64) + 0.5) / 64 - 0.5
+    at = np.stack(np.meshgrid(cells, cells, cells, indexing="ij"), axis=-1)
+    true = np.all(np.abs(at) <= BLOCK.extents_m / BLOCK.scale_m / 2, axis=-1)
+    ours = found.canonical >= 0.5
+    assert found.canonical.shape == (64, 64, 64)
+    assert found.canonical.min() >= 0 and found.canonical.max() <= 1
+    assert (ours & true).sum() / (ours | true).sum() > 0.85
+
+
+def test_without_completion_only_the_seen_side_is_left() -> None:
+    volume = volume_of(2)
+    proposals = proposals_of(volume, BLOCK)
+    oracle = Oracle(BLOCK, volume)
+    (whole,) = estimated(volume, oracle, proposals)
+    (seen,) = estimated(volume, oracle, proposals, NO_COMPLETION)
+    every = {tuple(p) for p in whole.points_world.round(4)}
+    assert {tuple(p) for p in seen.points_world.round(4)} < every
+    assert len(seen.points_world) < 0.3 * len(whole.points_world)
+    # The grid's -x is the world's +x after half a turn: nothing far behind that side is left.
+    assert seen.points_world[:, 0].min() > whole.points_world[:, 0].max() - 0.1 - 1e-3
+    assert seen.canonical.sum() < 0.5 * whole.canonical.sum()
+    np.testing.assert_allclose(seen.box.center, BLOCK.bounds.center, atol=1e-3)  # the detector's
+    np.testing.assert_allclose(seen.box.extents, BLOCK.bounds.extents, atol=1e-3)
+
+
+def test_correspondences_on_a_line_fix_no_pose() -> None:
+    volume = volume_of(3)
+    (found,) = estimated(volume, Oracle(BLOCK, volume, collapsed=True), proposals_of(volume, BLOCK))
+    assert not found.pose_observable
+    S = found.S_world_canonical
+    np.testing.assert_array_equal(S.R, np.eye(3))
+    np.testing.assert_array_equal(S.t, found.box.center)
+    assert S.scale_m == pytest.approx(np.linalg.norm(found.box.extents))
+
+
+def test_no_proposals_no_objects_and_empty_ones_are_dropped() -> None:
+    volume = volume_of(0)
+    oracle = Oracle(BLOCK, volume)
+    assert estimated(volume, oracle, proposals_of(volume)) == ()
+    elsewhere = replace(BLOCK, center=BLOCK.center + np.array([0, 3.0, 0]))
+    found = estimated(volume, oracle, proposals_of(volume, elsewhere, BLOCK))
+    assert len(found) == 1
+    np.testing.assert_allclose(found[0].S_world_canonical.t, BLOCK.center, atol=1e-3)
+
+
+def test_the_strongest_comes_first() -> None:
+    volume = volume_of(0)
+    weak_first = replace(proposals_of(volume, BLOCK, BLOCK), score=torch.tensor([0.3, 0.8]))
+    first, second = estimated(volume, Oracle(BLOCK, volume), weak_first)
+    assert first.score > second.score
