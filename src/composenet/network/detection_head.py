@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -36,6 +37,9 @@ class DetectionHead(nn.Module):
 
         self.objectness, self.offset = head(1), head(3)
         self.extent, self.classes = head(3), head(n_classes)
+        nn.init.constant_(
+            cast(nn.Linear, self.objectness[2]).bias, -1.0
+        )  # most surfaces are walls and floor
 
     def forward(self, features: Tensor) -> VoxelFields:
         extents = TYPICAL_EXTENT_VOXELS + VOXELS_PER_UNIT * self.extent(features)

@@ -6,6 +6,7 @@ Each box is sampled onto one fixed grid, so that boxes of all sizes batch (RoI-a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -110,7 +111,9 @@ class ObjectNet(nn.Module):
         self.encode3 = nn.Sequential(_down(c2, c3), _conv(c3, c3), _conv(c3, c3))
         self.up2, self.decode2 = _up(c3, c2), nn.Sequential(_conv(2 * c2, c2), _conv(c2, c2))
         self.up1, self.decode1 = _up(c2, c1), _conv(2 * c1, c1)
-        self.completion = nn.Sequential(_conv(c1, c1), nn.ConvTranspose3d(c1, 1, 2, stride=2))
+        fill = nn.ConvTranspose3d(c1, 1, 2, stride=2)
+        nn.init.constant_(cast(Tensor, fill.bias), -2.0)  # most cells are empty
+        self.completion = nn.Sequential(_conv(c1, c1), fill)
         self.correspondence = nn.Sequential(_conv(c1 + 4, c1), nn.Conv3d(c1, 3, 1))
         self.classify = nn.Sequential(
             nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader
 
 from composenet.errors import ComposenetError, DataError, WeightsError
@@ -66,7 +66,7 @@ class Trainer:
                 self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
             self.module.network,
-            multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay),
+            avg_fn=_warm_average(config.ema_decay),
             use_buffers=True,
         )
         self.optimizer = torch.optim.Adam(
@@ -130,6 +130,19 @@ class Trainer:
     def averaged_network(self) -> ComposeNet:
         """The moving average of the network, which is what is kept and shown."""
         return cast(ComposeNet, self.average.module)
+
+
+def _warm_average(decay: float) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
+    """Exponential moving average whose memory is short at first: the start of a run leaves no
+    trace in the weights of a short one."""
+
+    def average(mean: Tensor, value: Tensor, seen: Tensor | int) -> Tensor:
+        if not mean.is_floating_point():
+            return value
+        n = float(seen)
+        return mean + (value - mean) * (1 - min(decay, (1 + n) / (10 + n)))
+
+    return average
 
 
 @contextmanager

@@ -1,0 +1,62 @@
+"""One picture of a result: frames with completed objects, and the room from above.
+
+python examples/pictures.py RECORDING RESULT --out picture.png [--frames 6]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from PIL import Image
+
+import composenet
+from composenet.predictions import read_predictions
+from composenet.records import TrackState
+from composenet.view.figures import ColoredMesh, overlay, track_color
+from composenet.view.meshes import canonical_mesh, place
+from composenet.view.plots import contact_sheet, top_view
+
+
+def main(
+    recording: Annotated[Path, tyro.conf.Positional],
+    result: Annotated[Path, tyro.conf.Positional],
+    out: Path = Path("picture.png"),
+    frames: int = 6,
+    columns: int = 3,
+) -> None:
+    """Draw what was seen in evenly spaced frames, and the top view on the right."""
+    run = read_predictions(result)
+    meshes = {i: canonical_mesh(grid) for i, grid in run.canonical.items()}
+    wanted = np.linspace(0, len(run.frames) - 1, frames).round().astype(int)
+    records = {run.frames[i].index: run.frames[i] for i in wanted}
+    pictures = []
+    for frame in composenet.open_sequence(recording):
+        if frame.index not in records:
+            continue
+        seen = [
+            entry
+            for entry in records[frame.index].objects
+            if entry.state in (TrackState.TRACKED, TrackState.RE_FOUND)
+        ]
+        placed = [
+            ColoredMesh(place(mesh, entry.S_world_canonical), track_color(entry.track_id))
+            for entry in seen
+            if (mesh := meshes.get(entry.track_id)) is not None
+        ]
+        pictures.append(overlay(frame, seen, placed))
+    sheet = contact_sheet(pictures, columns=columns, cell=(400, 300))
+    above = top_view(run, width=600)
+    above = above.resize((round(above.width * sheet.height / above.height), sheet.height))
+    joined = Image.new("RGB", (sheet.width + above.width, sheet.height), "white")
+    joined.paste(sheet, (0, 0))
+    joined.paste(above, (sheet.width, 0))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    joined.save(out, quality=88)
+    print(f"wrote {out}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
