@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from composenet.records import CLASS_NAMES
+from composenet.synth.kitchen import fit_kitchen
 from composenet.synth.placement import Layout
 from composenet.synth.room import make_room
 from composenet.synth.shape import Shape
@@ -15,22 +16,24 @@ MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -
 MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
 
 ROOM_KINDS = {  # share, shortest and longest side in metres
-    "living": (0.15, (3.8, 7.5)),
-    "bedroom": (0.15, (3.2, 5.5)),
-    "bathroom": (0.22, (3.0, 4.8)),
-    "dining": (0.09, (3.6, 7.0)),
-    "office": (0.15, (3.4, 7.0)),
-    "mixed": (0.24, (4.0, 8.0)),
+    "living": (0.13, (3.8, 7.5)),
+    "bedroom": (0.13, (3.2, 5.5)),
+    "bathroom": (0.2, (3.0, 4.8)),
+    "kitchen": (0.16, (2.9, 5.2)),
+    "dining": (0.07, (3.4, 6.5)),
+    "office": (0.12, (3.4, 7.0)),
+    "mixed": (0.19, (4.0, 8.0)),
 }
 
 
-def furnish(rng: np.random.Generator, make: MakeShape) -> Layout:
-    """A room with 3-9 pieces of furniture and at least 3 other things."""
+def furnish(rng: np.random.Generator, make: MakeShape, cad_share: float = 0.0) -> Layout:
+    """A room with 3-9 pieces of furniture and at least 3 other things. cad_share: share of
+    meshes in what `make` returns."""
     kinds = list(ROOM_KINDS)
     while True:
         kind = str(rng.choice(kinds, p=[ROOM_KINDS[k][0] for k in kinds]))
         size = rng.uniform(*ROOM_KINDS[kind][1], 2)
-        layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng)
+        layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng, cad_share)
         _PROGRAMMES[kind](layout, make)
         _fill(layout, make, kind)
         if len(layout.furniture) < MIN_FURNITURE:
@@ -48,14 +51,13 @@ def _add(
     layout: Layout,
     make: MakeShape,
     class_name: str,
-    fits: Callable[[Shape], bool] = lambda shape: True,
 ) -> int | None:
     """One piece where its kind usually stands; its index, or None where there is no room."""
     if _full(layout):
         return None
     wall = class_name not in ("chair", "table") and layout.rng.random() < 0.92
     for _ in range(2):
-        shape = _fitting(make, class_name, fits)
+        shape = make(class_name)
         if layout.against_wall(shape) if wall else layout.free(shape):
             return len(layout.items) - 1
     return None
@@ -75,9 +77,10 @@ def _desk_with_chair(layout: Layout, make: MakeShape) -> None:
 def _table_with_chairs(layout: Layout, make: MakeShape, most: int = 6) -> None:
     """Two chairs or more of one kind around a table high enough to sit at, most of them pushed
     below it."""
-    table = _add(layout, make, "table", _to_sit_at)
-    if table is None:
+    shape = _fitting(make, "table", _to_sit_at)
+    if _full(layout) or not (layout.free(shape, 0.5) or layout.free(shape, 0.15)):
         return
+    table = len(layout.items) - 1
     chair = _fitting(make, "chair", _to_dine_on)
     seats = layout.seats(table, chair)
     wanted = min(int(layout.rng.integers(2, most + 1)), MAX_FURNITURE - len(layout.furniture))
@@ -118,7 +121,7 @@ def _bed_with_cabinet(layout: Layout, make: MakeShape) -> None:
         return
     angle = float(layout.rng.choice([-1, 1]) * np.pi / 2)
     cabinet = make("cabinet")
-    if max(cabinet.extents_m) < 1.0:
+    if max(cabinet.extents_m) < 1.0 and not cabinet.mount_m:
         layout.beside(bed, cabinet, angle, 0.08, -angle)
 
 
@@ -151,6 +154,13 @@ def _bathroom(layout: Layout, make: MakeShape) -> None:
     _some(layout, make, "chair", 0, 1)
 
 
+def _kitchen(layout: Layout, make: MakeShape) -> None:
+    eat_in = layout.rng.random() < 0.8
+    fit_kitchen(layout, make, int(layout.rng.integers(3, 7)) if eat_in else 7)
+    if eat_in:
+        _table_with_chairs(layout, make)
+
+
 def _dining(layout: Layout, make: MakeShape) -> None:
     _table_with_chairs(layout, make)
     _some(layout, make, "cabinet", 1, 2)
@@ -179,6 +189,7 @@ _MORE = {
     "living": ("sofa", "bookshelf", "cabinet", "chair", "table"),
     "bedroom": ("bed", "cabinet", "bookshelf", "desk", "sofa"),
     "bathroom": ("bathtub", "sink", "toilet", "cabinet"),
+    "kitchen": ("chair", "cabinet", "bookshelf"),
     "dining": ("table", "chair", "cabinet", "sink", "sofa"),
     "office": ("desk", "bookshelf", "cabinet", "table", "sofa"),
     "mixed": CLASS_NAMES,
@@ -199,6 +210,7 @@ _PROGRAMMES: dict[str, Callable[[Layout, MakeShape], None]] = {
     "living": _living,
     "bedroom": _bedroom,
     "bathroom": _bathroom,
+    "kitchen": _kitchen,
     "dining": _dining,
     "office": _office,
     "mixed": _mixed,
@@ -209,16 +221,18 @@ def _add_clutter(layout: Layout, make: MakeShape) -> None:
     """Small things on furniture, and lamps, plants, boxes on the floor."""
     holders = [i for i in layout.furniture if layout.items[i].shape.class_name in _HOLDERS]
     for index in holders:
-        for _ in range(int(layout.rng.integers(0, 4))):
+        for _ in range(int(layout.rng.integers(0, 5))):
             layout.on_top(index, make("small clutter"))
     on_floor = 0
     wanted = int(layout.rng.integers(2, 6))
     for _ in range(3 * wanted):
         shape = make("clutter")
-        placed = layout.against_wall(shape) if layout.rng.random() < 0.5 else layout.free(shape)
+        at_wall = shape.style in _AT_WALL or layout.rng.random() < 0.5
+        placed = layout.against_wall(shape) if at_wall else layout.free(shape)
         on_floor += placed
         if on_floor >= wanted:
             return
 
 
 _HOLDERS = ("table", "desk", "cabinet", "bookshelf")
+_AT_WALL = ("curtain", "radiator", "picture", "refrigerator", "oven", "washing_machine")

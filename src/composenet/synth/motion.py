@@ -31,7 +31,9 @@ def move_items(layout: Layout, frames: int) -> NDArray[np.float64] | None:
     rng, items = layout.rng, layout.items
     paths = np.tile([[*item.xyz[:2], item.yaw] for item in items], (frames, 1, 1))
     floor = [i for i, item in enumerate(items) if item.on_floor]
-    furniture = [i for i in floor if items[i].shape.class_name != "clutter"]
+    furniture = [
+        i for i in floor if items[i].shape.class_name != "clutter" and not _built_in(items[i])
+    ]
     wanted, moved = int(rng.integers(1, 4)), 0
     # Small things are moved more often, as they are in life.
     size = np.array([np.prod(items[i].extents_m[:2]) for i in furniture])
@@ -44,13 +46,16 @@ def move_items(layout: Layout, frames: int) -> NDArray[np.float64] | None:
             break
     if moved == 0:
         return None
-    others = [i for i in floor if i not in furniture]
-    if rng.random() < 0.3:
-        index = int(rng.choice(others)) if others else floor[0]
-        if items[index].shape.class_name == "clutter":
-            paths[:, index] = _roam(layout, paths, index)
+    others = [i for i in floor if items[i].shape.class_name == "clutter"]
+    if others and rng.random() < 0.3:
+        index = int(rng.choice(others))
+        paths[:, index] = _roam(layout, paths, index)
     _carry(items, paths)
     return paths
+
+
+def _built_in(item: Item) -> bool:
+    return item.shape.style in ("kitchen_base", "sink_base", "kitchen")
 
 
 def _moving_frames(path: NDArray[np.float64]) -> int:

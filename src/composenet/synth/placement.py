@@ -17,10 +17,12 @@ GAP_M = 0.03
 
 @dataclass
 class Layout:
-    """The furnishing of one room while it grows. items: in order of placement."""
+    """The furnishing of one room while it grows. items: in order of placement. cad_share:
+    share of the furniture that is to be meshes from a folder."""
 
     room: Room
     rng: np.random.Generator
+    cad_share: float = 0.0
     items: list[Item] = field(default_factory=list)
 
     @property
@@ -54,7 +56,8 @@ class Layout:
                 continue
             off = 0.01 if shape.mount_m else self.rng.uniform(0.02, 0.08)
             x, y = wall.point(along, ex / 2 + off)
-            if self.place(shape, x, y, wall.yaw + self.rng.normal(0, 0.015)):
+            turn = 0.0 if shape.mount_m else self.rng.normal(0, 0.015)
+            if self.place(shape, x, y, wall.yaw + turn):
                 return True
         return False
 
@@ -71,27 +74,31 @@ class Layout:
         )
 
     def row(self, wall: Wall, start_m: float, shapes: Sequence[Shape]) -> list[int | None]:
-        """Side by side along a wall, flush, from start_m on: the index of each, or None where
-        it does not fit (its place then stays free)."""
+        """Side by side along a wall, flush, from start_m on; a blocked place is left out. The
+        index of each, or None where the wall ends before."""
         placed: list[int | None] = []
         for shape in shapes:
-            ex, ey, _ = shape.extents_m
-            x, y = wall.point(start_m + ey / 2, ex / 2 + 0.01)
-            fits = start_m + ey <= wall.length_m and (
-                not shape.mount_m or self.on_wall(shape, wall, start_m + ey / 2)
-            )
-            fits = fits and self.place(shape, x, y, wall.yaw, 0.0)
-            placed.append(len(self.items) - 1 if fits else None)
-            start_m += ey + 0.002
+            ex, ey, _ = map(float, shape.extents_m)
+            placed.append(None)
+            while placed[-1] is None and start_m + ey <= wall.length_m:
+                x, y = wall.point(start_m + ey / 2, ex / 2 + 0.01)
+                free = not shape.mount_m or self.on_wall(shape, wall, start_m + ey / 2)
+                if free and self.place(shape, x, y, wall.yaw, 0.0):
+                    placed[-1] = len(self.items) - 1
+                    start_m += ey + 0.002
+                else:
+                    start_m += 0.15
         return placed
 
-    def free(self, shape: Shape) -> bool:
-        """Anywhere, mostly along the walls' directions."""
+    def free(self, shape: Shape, gap_m: float = 0.08) -> bool:
+        """Anywhere, mostly along the walls' directions; what hangs, on a wall."""
+        if shape.mount_m:
+            return self.against_wall(shape)
         size = np.array(self.room.size_m)
         for _ in range(25):
             x, y = self.rng.uniform(0.1, 0.9, 2) * size
             yaw = self.rng.integers(4) * np.pi / 2 + self.rng.normal(0, 0.25)
-            if self.place(shape, float(x), float(y), float(yaw), 0.08):
+            if self.place(shape, float(x), float(y), float(yaw), gap_m):
                 return True
         return False
 

@@ -209,7 +209,7 @@ def generate_scene(split: str, index: int, options: SceneOptions = DEFAULT_OPTIO
     camera = _camera(rng, options.image_size)
     half_view = float(np.arctan(camera.width / 2 / camera.K[0, 0]))
     while True:
-        layout = furnish(rng, make)
+        layout = furnish(rng, make, options.cad_share if options.cad_dir else 0.0)
         paths = move_items(layout, options.frames)
         if paths is not None:
             break

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from composenet.records import Symmetry
 from composenet.synth.furniture.cabinet_parts import add_top, door, finish, pairs, stacked_drawers
 from composenet.synth.furniture.cases import (
     BASES,
@@ -18,6 +19,7 @@ from composenet.synth.furniture.cases import (
     random_look,
     splits,
 )
+from composenet.synth.furniture.kitchen_units import base_unit, random_style
 from composenet.synth.furniture.parts import (
     Rng,
     arc,
@@ -27,9 +29,7 @@ from composenet.synth.furniture.parts import (
     extrude,
     paint,
     plastic,
-    stone,
     tube,
-    wood,
 )
 from composenet.synth.furniture.tall_cabinets import (
     corner,
@@ -43,26 +43,7 @@ from composenet.synth.shape import Shape, ShapeBuilder
 
 def kitchen_base(rng: Rng) -> Shape:
     """Base units under a worktop."""
-    builder, look = ShapeBuilder(), random_look(rng)
-    width, depth, height = rng.uniform(0.4, 2.0), rng.uniform(0.52, 0.66), rng.uniform(0.8, 0.92)
-    kick = float(rng.uniform(0.08, 0.15))
-    cells: list[Cell] = []
-    for y0, y1 in pairs(splits(rng, -width / 2, width / 2, max(1, round(width / 0.55)), 0.1)):
-        kind = rng.random()
-        if kind < 0.3:
-            cells += stacked_drawers(rng, y0, y1, kick, height, int(rng.integers(3, 5)))
-        elif kind < 0.7:
-            split = height - float(rng.uniform(0.13, 0.2))
-            cells += [
-                door(rng, y0, y1, kick, split),
-                *stacked_drawers(rng, y0, y1, split, height, 1),
-            ]
-        else:
-            cells.append(door(rng, y0, y1, kick, height))
-    add_base(builder, rng, "plinth", depth, width, kick, look.body)
-    add_case(builder, look, (-depth / 2, -width / 2, kick), (depth / 2, width / 2, height), cells)
-    add_top(builder, rng, depth, width, height, stone(rng) if chance(rng, 0.6) else wood(rng))
-    return finish(builder, "kitchen_base")
+    return base_unit(rng, random_style(rng), float(rng.uniform(0.4, 2.0)))
 
 
 def wall_unit(rng: Rng) -> Shape:
@@ -79,7 +60,8 @@ def wall_unit(rng: Rng) -> Shape:
         else:
             cells.append(door(rng, y0, y1, 0.0, height, 2))
     add_case(builder, look, (-depth / 2, -width / 2, 0), (depth / 2, width / 2, height), cells)
-    return finish(builder, "wall_unit")
+    mount_m = float(rng.uniform(1.25, 1.55)) if chance(rng, 0.85) else 0.0
+    return builder.build("cabinet", "wall_unit", Symmetry.NONE, mount_m)
 
 
 def sideboard(rng: Rng) -> Shape:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.synth.furniture.parts import Rng, Solid, chance, loft, rod, tube
+from composenet.synth.furniture.parts import Rng, Solid, box, chance, loft, loft_z, oval, rod, tube
 from composenet.synth.shape import Material, ShapeBuilder
 
 Outline = NDArray[np.float64]
@@ -50,3 +50,41 @@ def add_tap(
     else:
         lever = at + 0.6 * height * up
         builder.add(rod(lever, lever + 0.07 * across + 0.02 * up, 0.009, 0.006, 8), material)
+
+
+def top_with_bowl(
+    rng: Rng,
+    size: tuple[float, float, float],
+    z: float,
+    bowls: list[tuple[float, float]],
+    deep: float,
+    power: float,
+) -> tuple[Solid, list[Solid], list[Solid]]:
+    """A counter slab of `size` whose top is at z with bowls (centre y, width) sunk into it.
+    Returns the slab with its holes, the bowls, and what they displace in a case below."""
+    depth, width, thick = size
+    front, back = float(rng.uniform(0.04, 0.08)), float(rng.uniform(0.1, 0.16))
+    x0, x1 = back - depth / 2, depth / 2 - front
+    slab = box((depth, width, thick), (0, 0, z - thick / 2))
+    vessels, cuts = [], []
+    for y, bowl_width in bowls:
+        hole = oval(x1 - x0, bowl_width, power, 24, ((x0 + x1) / 2, y))
+        centre = np.array([(x0 + x1) / 2, y])
+        slab = slab - loft_z([hole, hole], [z - thick - 1, z + 1])
+        outer = (hole - centre) * 1.05 + centre
+        shrunk = (hole - centre) * 0.8 + centre
+        wall = (hole - centre) * 0.76 + centre
+        cuts.append(loft_z([wall, hole, hole], [z - deep + 0.008, z - 0.5 * deep, z + 0.1]))
+        vessels.append(
+            basin(
+                [
+                    (shrunk, z - deep),
+                    (outer, z - 0.5 * deep),
+                    (outer, z + 0.004),
+                    ((hole - centre) * 0.97 + centre, z + 0.004),
+                    ((hole - centre) * 0.95 + centre, z - 0.5 * deep),
+                    ((hole - centre) * 0.72 + centre, z - deep + 0.015),
+                ]
+            )
+        )
+    return slab, vessels, cuts

@@ -10,6 +10,7 @@ import numpy as np
 
 from composenet.records import Symmetry
 from composenet.synth.furniture.cases import Cell, add_base, add_case, opened, random_look, splits
+from composenet.synth.furniture.kitchen_units import random_style, sink_unit
 from composenet.synth.furniture.parts import (
     Rng,
     Solid,
@@ -29,7 +30,7 @@ from composenet.synth.furniture.parts import (
     tube,
     wood,
 )
-from composenet.synth.furniture.sanitary import add_tap, basin
+from composenet.synth.furniture.sanitary import add_tap, basin, top_with_bowl
 from composenet.synth.shape import Material, Shape, ShapeBuilder
 
 
@@ -64,44 +65,6 @@ def _washbasin(
     return solid, ledge / 2 - depth / 2
 
 
-def _top_with_bowl(
-    rng: Rng,
-    size: tuple[float, float, float],
-    z: float,
-    bowls: list[tuple[float, float]],
-    deep: float,
-    power: float,
-) -> tuple[Solid, list[Solid], list[Solid]]:
-    """A counter slab of `size` whose top is at z with bowls (centre y, width) sunk into it.
-    Returns the slab with its holes, the bowls, and what they displace in a case below."""
-    depth, width, thick = size
-    front, back = float(rng.uniform(0.04, 0.08)), float(rng.uniform(0.1, 0.16))
-    x0, x1 = back - depth / 2, depth / 2 - front
-    slab = box((depth, width, thick), (0, 0, z - thick / 2))
-    vessels, cuts = [], []
-    for y, bowl_width in bowls:
-        hole = oval(x1 - x0, bowl_width, power, 24, ((x0 + x1) / 2, y))
-        centre = np.array([(x0 + x1) / 2, y])
-        slab = slab - loft_z([hole, hole], [z - thick - 1, z + 1])
-        outer = (hole - centre) * 1.05 + centre
-        shrunk = (hole - centre) * 0.8 + centre
-        wall = (hole - centre) * 0.76 + centre
-        cuts.append(loft_z([wall, hole, hole], [z - deep + 0.008, z - 0.5 * deep, z + 0.1]))
-        vessels.append(
-            basin(
-                [
-                    (shrunk, z - deep),
-                    (outer, z - 0.5 * deep),
-                    (outer, z + 0.004),
-                    ((hole - centre) * 0.97 + centre, z + 0.004),
-                    ((hole - centre) * 0.95 + centre, z - 0.5 * deep),
-                    ((hole - centre) * 0.72 + centre, z - deep + 0.015),
-                ]
-            )
-        )
-    return slab, vessels, cuts
-
-
 def pedestal(rng: Rng) -> Shape:
     """A basin on a column of its own."""
     builder, body = ShapeBuilder(), ceramic(rng)
@@ -128,8 +91,10 @@ def wall_hung(rng: Rng) -> Shape:
     power = float(rng.choice([rng.uniform(2.0, 2.6), rng.uniform(3.0, 12.0)]))
     bowl, shelf = _washbasin(rng, depth, width, rim, thick, power)
     builder.add(bowl, body)
-    roll, fittings, low = rng.random(), metal(rng), rim - thick
-    if roll < 0.35:  # waste pipe into the floor
+    roll, fittings, low, mount_m = rng.random(), metal(rng), rim - thick, 0.0
+    if roll < 0.2:
+        mount_m = low
+    elif roll < 0.4:  # waste pipe into the floor
         builder.add(cylinder(0.035, 0.14, (0, 0, low - 0.2), 12), fittings)
         x = float(rng.uniform(-0.4, -0.2)) * depth
         pipe = [(0, 0, low + 0.02), (0, 0, low - 0.12), (x, 0, low - 0.12), (x, 0, 0)]
@@ -149,7 +114,7 @@ def wall_hung(rng: Rng) -> Shape:
             for y in (-0.4 * width, 0.4 * width):
                 builder.add(rod((x, y, 0), (x, y, rim - 0.3 * thick), leg), fittings)
     add_tap(builder, rng, (shelf, 0, rim), (1, 0), float(rng.uniform(0.08, 0.18)), 0.12, fittings)
-    return _finish(builder, "wall_hung")
+    return builder.build("sink", "wall_hung", Symmetry.NONE, mount_m)
 
 
 def vanity(rng: Rng) -> Shape:
@@ -186,7 +151,7 @@ def vanity(rng: Rng) -> Shape:
     size = (depth, width + 0.02, thick)
     power = float(rng.uniform(2.0, 7.0))
     places = [(y, bowl_width) for y in ys]
-    slab, vessels, cuts = _top_with_bowl(rng, size, height, places, 0.15, power)
+    slab, vessels, cuts = top_with_bowl(rng, size, height, places, 0.15, power)
     builder.add(slab, top)
     low, high = (-depth / 2, -width / 2, base), (depth / 2 - 0.02, width / 2, case_top)
     add_case(builder, look, low, high, cells, cuts)
@@ -206,47 +171,7 @@ def vanity(rng: Rng) -> Shape:
 
 def kitchen(rng: Rng) -> Shape:
     """Steel or ceramic bowls in a worktop on base units, with a drainer and a high tap."""
-    builder, look = ShapeBuilder(), random_look(rng)
-    width, depth = float(rng.uniform(0.6, 1.6)), float(rng.uniform(0.52, 0.65))
-    height, thick = float(rng.uniform(0.84, 0.94)), float(rng.uniform(0.025, 0.045))
-    kick = float(rng.uniform(0.08, 0.14))
-    edges = splits(rng, -width / 2, width / 2, max(1, round(width / 0.5)))
-    cells = [
-        Cell(y0, y1, kick, height - thick, "left" if index % 2 else "right", opened(rng, 0.1), 1)
-        for index, (y0, y1) in enumerate(pairwise(edges))
-    ]
-    add_base(builder, rng, "plinth", depth - 0.02, width, kick, look.body)
-    double = width > 0.95 and chance(rng, 0.45)
-    bowl = (
-        float(rng.uniform(0.34, 0.42))
-        if double
-        else min(0.75 * width, float(rng.uniform(0.4, 0.7)))
-    )
-    offset = 0.0 if double else float(rng.uniform(-0.5, 0.5)) * (0.9 * width - bowl)
-    ys = (-0.55 * bowl, 0.55 * bowl) if double else (offset,)
-    places = [(y, bowl) for y in ys]
-    size = (depth, width, thick)
-    power = float(rng.uniform(5, 14))
-    slab, vessels, cuts = _top_with_bowl(rng, size, height, places, 0.19, power)
-    top = stone(rng) if chance(rng, 0.5) else wood(rng)
-    builder.add(slab, top)
-    low, high = (-depth / 2, -width / 2, kick), (depth / 2 - 0.03, width / 2, height - thick)
-    add_case(builder, look, low, high, cells, cuts)
-    steel = metal(rng) if chance(rng, 0.75) else ceramic(rng)
-    for part in vessels:
-        builder.add(part, steel)
-    side = 1.0 if offset <= 0 else -1.0
-    room = width / 2 - abs(offset) - bowl / 2 if not double else 0.0
-    if width / 2 - side * offset - bowl / 2 > 0.3 and room > 0.0 and chance(rng, 0.6):
-        for x in np.linspace(-0.3, 0.3, 6) * depth:
-            start = offset + side * (bowl / 2 + 0.05)
-            rib = box((0.012, 0.22, 0.008), (x, start + side * 0.11, height + 0.002))
-            builder.add(rib, steel)
-    foot = (0.06 - depth / 2, float(np.mean(ys)), height)
-    add_tap(builder, rng, foot, (1, 0), float(rng.uniform(0.18, 0.38)), 0.2, metal(rng))
-    if chance(rng, 0.3):
-        builder.add(box((0.02, width, 0.12), (0.01 - depth / 2, 0, height + 0.06)), top)
-    return _finish(builder, "kitchen")
+    return sink_unit(rng, random_style(rng), float(rng.uniform(0.6, 1.6)))
 
 
 def _bowl(rng: Rng, depth: float, width: float, z: float, high: float) -> Solid:

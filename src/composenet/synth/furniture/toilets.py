@@ -202,7 +202,7 @@ def one_piece(rng: Rng) -> Shape:
 
 
 def wall_hung(rng: Rng) -> Shape:
-    """A bowl that hangs from a boxed-in frame, clear of the floor."""
+    """A bowl that hangs on the wall or from a boxed-in frame, clear of the floor."""
     builder, body = ShapeBuilder(), ceramic(rng)
     length, width, rim = _proportions(rng)
     seat = _egg(length, width, float(rng.uniform(2.0, 5.0)), float(rng.uniform(0.3, 1.0)))
@@ -219,6 +219,8 @@ def wall_hung(rng: Rng) -> Shape:
     )
     builder.add(neck, body)
     _seat_and_lid(builder, rng, seat, rim, _lid_material(rng, body))
+    if chance(rng, 0.5):  # the frame is behind the wall
+        return builder.build("toilet", "wall_hung", Symmetry.NONE, rim - drop)
     wide, high = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.85, 1.15))
     panel = box((0.14, wide, high), (-0.145, 0, high / 2))
     builder.add(panel, wood(rng) if chance(rng, 0.3) else ceramic(rng))
