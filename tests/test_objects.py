@@ -96,6 +96,7 @@ class Oracle:
             surface=surface.view(m, CELLS, CELLS, CELLS),
             quality=torch.full((m,), 4.0),
             class_logits=torch.zeros(m, 10),
+            heading_logits=torch.zeros(m, 12),
         )
 
 

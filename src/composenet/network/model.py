@@ -8,7 +8,7 @@ from composenet.config import NetworkConfig, VolumeConfig
 from composenet.network.backbone import Backbone
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import DetectionHead, VoxelFields
-from composenet.network.object_net import ObjectFields, ObjectNet
+from composenet.network.object_net import ObjectFields, ObjectNet, Teacher, likeliest_heading
 from composenet.network.sparse import build_pyramid
 from composenet.records import CLASS_NAMES
 from composenet.volume.voxels import FEATURE_NAMES
@@ -29,10 +29,23 @@ class ComposeNet(nn.Module):
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
         return self.detection(self.backbone(batch.features, levels))
 
-    def object_fields(self, features: Tensor, batch: VolumeBatch, crops: CropBatch) -> ObjectFields:
+    def object_fields(
+        self,
+        features: Tensor,
+        batch: VolumeBatch,
+        crops: CropBatch,
+        teacher: Teacher = likeliest_heading,
+    ) -> ObjectFields:
         """Completion, correspondences, quality and class of every crop.
 
-        features: (N, F) of voxel_fields.
+        features: (N, F) of voxel_fields. teacher: which heading the correspondences build on.
         """
-        truncation = self.volume_config.truncation_m
-        return self.objects(features, batch, crops, self.config.crop_cells, truncation)
+        return self.objects(
+            features,
+            batch,
+            crops,
+            self.config.crop_cells,
+            self.volume_config.truncation_m,
+            self.config.crop_margin,
+            teacher,
+        )

@@ -5,6 +5,8 @@ Each box is sampled onto one fixed grid, so that boxes of all sizes batch (RoI-a
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -14,6 +16,12 @@ from torch import Tensor, nn
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.volume.tsdf import projective_tsdf
 
+HEADING_BINS = 12
+"""Divisible by 2 and 4, so that symmetric turns map bins onto bins."""
+
+Teacher = Callable[[Tensor], Tensor]
+"""(M, HEADING_BINS) logits -> (M,) heading in radians to build the correspondences on."""
+
 
 @dataclass(frozen=True)
 class ObjectFields:
@@ -21,7 +29,8 @@ class ObjectFields:
 
     occupancy: (M, C, C, C) logits. nocs: (M, 3, C/2, C/2, C/2) canonical coordinates. surface:
     (M, C, C, C) bool, cells on the observed surface. quality: (M,) logits of how well the crop
-    holds an object. class_logits: (M, n_classes).
+    holds an object. class_logits: (M, n_classes). heading_logits: (M, HEADING_BINS) of the yaw of
+    the object's front in the grid frame; bin k is centred at k * 360 / HEADING_BINS degrees.
     """
 
     occupancy: Tensor
@@ -29,6 +38,7 @@ class ObjectFields:
     surface: Tensor
     quality: Tensor
     class_logits: Tensor
+    heading_logits: Tensor
 
 
 def scatter_features(features: Tensor, batch: VolumeBatch, crops: CropBatch, cells: int) -> Tensor:
@@ -79,6 +89,21 @@ def _position_channels(batch: VolumeBatch, crops: CropBatch, cells: int) -> Tens
     return torch.cat([local, height], -1).transpose(1, 2).reshape(-1, 4, cells, cells, cells)
 
 
+def likeliest_heading(logits: Tensor) -> Tensor:
+    """(M,) radians: the centre of the strongest bin."""
+    return logits.argmax(dim=1).to(logits.dtype) * (2 * math.pi / HEADING_BINS)
+
+
+def _anchor(position: Tensor, crops: CropBatch, heading: Tensor, margin: float) -> Tensor:
+    """(M, 3, ...) canonical coordinates the cells would have, were the object centred in the
+    crop, turned by its heading and as large as the crop without its margin."""
+    diagonal = crops.size.norm(dim=1) / margin
+    x, y, z = position[:, 0], position[:, 1], position[:, 2]
+    shape = (-1, 1, 1, 1)
+    c, s, d = heading.cos().view(shape), heading.sin().view(shape), diagonal.view(shape)
+    return torch.stack([(c * x + s * y) / d, (c * y - s * x) / d, z / d], dim=1)
+
+
 def _conv(c_in: int, c_out: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv3d(c_in, c_out, 3, padding=1, bias=False), nn.BatchNorm3d(c_out), nn.ReLU()
@@ -103,6 +128,7 @@ class ObjectNet(nn.Module):
     def __init__(self, c_features: int, channels: tuple[int, ...], n_classes: int) -> None:
         super().__init__()
         c1, c2, c3 = channels
+        self.n_classes = n_classes
         self.embed_features = nn.Linear(c_features, c1)
         self.embed_tsdf = nn.Conv3d(2, c1, 2, stride=2)
         self.embed_position = nn.Conv3d(4, c1, 1)
@@ -116,13 +142,22 @@ class ObjectNet(nn.Module):
         self.completion = nn.Sequential(_conv(c1, c1), fill)
         self.correspondence = nn.Sequential(_conv(c1 + 4, c1), nn.Conv3d(c1, 3, 1))
         self.classify = nn.Sequential(
-            nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1)
+            nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1 + HEADING_BINS)
         )
 
     def forward(
-        self, features: Tensor, batch: VolumeBatch, crops: CropBatch, cells: int, truncation: float
+        self,
+        features: Tensor,
+        batch: VolumeBatch,
+        crops: CropBatch,
+        cells: int,
+        truncation_m: float,
+        margin: float,
+        teacher: Teacher = likeliest_heading,
     ) -> ObjectFields:
-        samples, surface = crop_inputs(batch, crops, cells, truncation)
+        """Fields of every crop. The correspondences are a dense correction of an anchor turned by
+        the heading: front and back are a choice between bins, not a mean of both."""
+        samples, surface = crop_inputs(batch, crops, cells, truncation_m)
         position = _position_channels(batch, crops, cells // 2)
         sparse = scatter_features(self.embed_features(features), batch, crops, cells // 2)
         x = sparse + self.embed_tsdf(samples) + self.embed_position(position)
@@ -132,11 +167,16 @@ class ObjectNet(nn.Module):
         y2 = self.decode2(torch.cat([x2, self.up2(x3)], dim=1))
         y1 = self.decode1(torch.cat([x1, self.up1(y2)], dim=1))
         pooled = torch.cat([x3.mean(dim=(2, 3, 4)), x3.amax(dim=(2, 3, 4))], dim=1)
-        summary = self.classify(pooled)
+        quality, headings, classes = self.classify(pooled).split(
+            [1, HEADING_BINS, self.n_classes], dim=1
+        )
+        anchor = _anchor(position, crops, teacher(headings.detach()), margin)
+        given = torch.cat([y1, anchor, position[:, 3:]], dim=1)
         return ObjectFields(
             occupancy=self.completion(y1)[:, 0],
-            nocs=self.correspondence(torch.cat([y1, position], dim=1)),
+            nocs=anchor + self.correspondence(given),
             surface=surface,
-            quality=summary[:, -1],
-            class_logits=summary[:, :-1],
+            quality=quality[:, 0],
+            class_logits=classes,
+            heading_logits=headings,
         )

@@ -27,6 +27,7 @@ class LossWeights:
     scale: float = 0.1
     quality: float = 1.0
     box_class: float = 1.0
+    heading: float = 1.0
 
 
 @dataclass(frozen=True, config=_STRICT)

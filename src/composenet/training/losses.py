@@ -11,7 +11,12 @@ from torch.nn import functional as F
 
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import ObjectFields
+from composenet.network.object_net import (
+    HEADING_BINS,
+    ObjectFields,
+    Teacher,
+    likeliest_heading,
+)
 from composenet.training.proposals import TrainingCrops
 from composenet.training.targets import TrainingBatch, occupancy_in_crops
 
@@ -69,12 +74,22 @@ def object_losses(
     if not keep.any():
         touched = fields.occupancy.sum() + fields.nocs.sum() + fields.class_logits.sum()
         none = touched.new_zeros(0)
-        names = ("completion", "correspondence", "rotation", "scale", "translation", "box_class")
+        touched = touched + fields.heading_logits.sum()
+        names = (
+            "heading",
+            "completion",
+            "correspondence",
+            "rotation",
+            "scale",
+            "translation",
+            "box_class",
+        )
         return losses | dict.fromkeys(names, 0 * touched), PoseErrors(none, none, none)
     crops, rows = _select(boxes, keep)
     losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     target = occupancy_in_crops(batch, crops, rows, cells)
     logits = fields.occupancy[keep]
+    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows)
     losses["completion"] = F.binary_cross_entropy_with_logits(logits, target)
     solid = F.avg_pool3d(target[:, None], 2)[:, 0].flatten(1) > 0.1
     solid[:, 0] |= ~solid.any(dim=1)
@@ -115,6 +130,49 @@ def _turns(order: int, like: Tensor) -> Tensor:
     angle = torch.arange(order, device=like.device, dtype=like.dtype) * (2 * np.pi / order)
     c, s, o, i = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     return torch.stack([c, -s, o, s, c, o, o, o, i], dim=1).view(-1, 3, 3)
+
+
+def valid_headings(batch: TrainingBatch, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """(M, 4) yaws of the object's front that look alike, radians, and (M, 4) bool which of them
+    are distinct. For infinite symmetry the first is as good as any other."""
+    R = batch.R_grid_object[rows]
+    yaw = torch.atan2(R[:, 1, 0], R[:, 0, 0])
+    order = batch.symmetry_order[rows].clamp(max=4)[:, None]
+    k = torch.arange(4, device=yaw.device)[None]
+    return yaw[:, None] + 2 * np.pi * k / order, k < order
+
+
+def heading_bins(yaw: Tensor) -> Tensor:
+    """Bin of each yaw, int64."""
+    return (yaw * (HEADING_BINS / (2 * np.pi))).round().long() % HEADING_BINS
+
+
+def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
+    """Cross-entropy where any valid bin is right; objects round about z are left out."""
+    yaws, valid = valid_headings(batch, rows)
+    log_p = logits.log_softmax(dim=1).gather(1, heading_bins(yaws))
+    log_p = torch.where(valid, log_p, torch.full_like(log_p, -torch.inf))
+    directed = (batch.symmetry_order[rows] <= 4).to(logits.dtype)
+    return -(directed * log_p.logsumexp(dim=1)).sum() / directed.sum().clamp_min(1)
+
+
+def heading_teacher(
+    batch: TrainingBatch, boxes: TrainingCrops, generator: torch.Generator
+) -> Teacher:
+    """Gives positive crops the valid heading the network finds likeliest, off by up to half a
+    bin as at test time, and the others the network's own choice."""
+
+    def teach(logits: Tensor) -> Tensor:
+        own = likeliest_heading(logits)
+        if len(batch.frame) == 0:
+            return own
+        yaws, valid = valid_headings(batch, boxes.rows)
+        liked = logits.gather(1, heading_bins(yaws)).masked_fill(~valid, -torch.inf).argmax(dim=1)
+        true = yaws.gather(1, liked[:, None])[:, 0]
+        noise = torch.rand(len(own), generator=generator).to(own) - 0.5
+        return torch.where(boxes.positive, true + noise * (2 * np.pi / HEADING_BINS), own)
+
+    return teach
 
 
 def _correspondence_loss(

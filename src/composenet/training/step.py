@@ -10,7 +10,12 @@ from torch import Tensor, nn
 from composenet.detection import Proposals, propose
 from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
-from composenet.training.losses import PoseErrors, detection_losses, object_losses
+from composenet.training.losses import (
+    PoseErrors,
+    detection_losses,
+    heading_teacher,
+    object_losses,
+)
 from composenet.training.proposals import training_crops
 from composenet.training.targets import TrainingBatch
 
@@ -38,7 +43,8 @@ class LossModule(nn.Module):
         margin = self.config.model.network.crop_margin
         boxes = training_crops(batch, proposals, margin, self.config.max_boxes, generator)
         features = fields.features if joint else fields.features.detach()
-        objects = self.network.object_fields(features, batch.volume, boxes.crops)
+        teacher = heading_teacher(batch, boxes, generator)
+        objects = self.network.object_fields(features, batch.volume, boxes.crops, teacher)
         more, errors = object_losses(objects, batch, boxes)
         if not joint:  # correspondences must make sense before a pose is fitted to them
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
