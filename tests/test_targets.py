@@ -15,9 +15,14 @@ from composenet.geometry.symmetry import ORDER, turns
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.network.batch import CropBatch
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import ObjectFields
+from composenet.network.object_net import HEADING_BINS, ObjectFields
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
-from composenet.training.losses import detection_losses, object_losses
+from composenet.training.losses import (
+    detection_losses,
+    heading_bins,
+    object_losses,
+    valid_headings,
+)
 from composenet.training.proposals import TrainingCrops, box_iou, training_crops
 from composenet.training.targets import (
     TrainingBatch,
@@ -82,13 +87,14 @@ def true_fields(batch: TrainingBatch, boxes: TrainingCrops, turn: np.ndarray) ->
     local = (boxes.crops.points(CELLS // 2) - batch.t[:, None]) @ R
     nocs = local / batch.scale_m[:, None, None]
     side = CELLS // 2
+    bins = heading_bins(valid_headings(batch, boxes.rows)[0][:, 0])
     return ObjectFields(
         occupancy=torch.where(target > 0.5, 20.0, -20.0),
         nocs=nocs.transpose(1, 2).reshape(m, 3, side, side, side).requires_grad_(True),
         surface=torch.zeros(m, CELLS, CELLS, CELLS, dtype=torch.bool),
         quality=torch.full((m,), 20.0),
         class_logits=40.0 * torch.nn.functional.one_hot(batch.class_id, 10),
-        heading_logits=torch.zeros(m, 12),
+        heading_logits=40.0 * torch.nn.functional.one_hot(bins, HEADING_BINS),
     )
 
 
