@@ -82,7 +82,7 @@ def test_sizes_are_realistic(name: str, style: str) -> None:
     low, high = SIZES[name]
     for seed in range(20, 26):
         shape = shape_of(name, style, seed)
-        extents = shape.extents_m + [0, 0, shape.mount_m]  # height above the floor
+        extents = shape.extents_m + np.array([0, 0, shape.mount_m])  # height above the floor
         assert np.all(extents >= low), (seed, extents)
         assert np.all(extents <= high), (seed, extents)
 

@@ -25,17 +25,18 @@ from composenet.records import (
     Symmetry,
 )
 from composenet.synth import cad, render
+from composenet.synth.camera_path import move_camera
 from composenet.synth.furnish import MakeShape, furnish
 from composenet.synth.furniture import make_furniture
 from composenet.synth.furniture.clutter import make_clutter, make_small_clutter
-from composenet.synth.motion import move_camera, move_items
+from composenet.synth.motion import move_items
 from composenet.synth.occupancy import occupancy
 from composenet.synth.placement import Layout
 from composenet.synth.sensor import Sensor, measure, sample_sensor
 from composenet.synth.shading import Light, shade
 from composenet.synth.shape import Shape
 
-GENERATOR_VERSION = 1
+GENERATOR_VERSION = 2
 SPLITS = ("train", "val", "test")
 LOW_SCALE, HIGH_SCALE = 0.85, 1.2
 

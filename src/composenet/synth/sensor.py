@@ -53,14 +53,15 @@ class Sensor:
 
 def sample_sensor(rng: np.random.Generator) -> Sensor:
     """A camera of either kind with its own faults."""
-    kind = list(SensorKind)[int(rng.integers(2))]
+    light = rng.random() < 0.65
+    kind = SensorKind.STRUCTURED_LIGHT if light else SensorKind.TIME_OF_FLIGHT
     return Sensor(
         kind=kind,
         range_m=(float(rng.uniform(0.3, 0.5)), float(rng.uniform(6.0, 8.0))),
         baseline_m=float(rng.uniform(0.05, 0.08)),
-        disparity_step_px=float(rng.choice([1 / 16, 1 / 8])),
-        disparity_noise_px=float(rng.uniform(0.02, 0.09)),
-        phase_noise=float(rng.uniform(0.0003, 0.0015)),
+        disparity_step_px=float(rng.choice([1 / 16, 1 / 8, 1 / 8])),
+        disparity_noise_px=float(rng.uniform(0.01, 0.06)),
+        phase_noise=float(rng.uniform(0.0002, 0.0008)),
         lateral_px=float(rng.uniform(0.6, 1.4)),
         grazing_cosine=float(rng.uniform(0.08, 0.2)),
         loss=float(rng.uniform(0.1, 0.8)),
@@ -215,13 +216,15 @@ def _measure(  # type: ignore[no-untyped-def]
             if returned < needed * (0.3 + 1.4 * patch):
                 continue
             z *= 1 + _bilinear(warps, v / height * 2.99, u / width * 3.99)
+            window = _bilinear(windows, v / 4, u / 4)
             if light:
-                correlated = 1.3 * _bilinear(windows, v / 4, u / 4) + 0.3 * noise[v, u]
+                correlated = 1.3 * window + 0.3 * noise[v, u]
                 z = _by_disparity(z, cosine, correlated, stereo)
             else:
                 if step > 0.04 and other > 0 and chance[v, u] > 0.5:
                     z += (other - z) * (chance[v, u] - 0.5) * 2
-                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * noise[v, u]
+                filtered = 0.9 * window + 0.7 * noise[v, u]
+                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * filtered
             if limits[0] <= z <= limits[1]:
                 out[v, u] = z
     return out
