@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -14,10 +17,29 @@ from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.network.object_net import ObjectFields
-from composenet.records import Box, ObjectEstimate, Similarity
+from composenet.records import Box, FloatArray, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
 CANONICAL_CELLS = 64
+CROP_LIMITS_M = (0.15, 5.0)
+"""Proposals are taken to be no smaller and no larger than furniture."""
+
+
+@dataclass(frozen=True)
+class _Completed:
+    """Every proposal of a frame, completed and posed, as tensors in the grid frame.
+
+    shown: (M, C, C, C) occupancy in 0..1, 0.5 being the decision. class_probabilities: (M, 10).
+    score: (M,). canonical: (M, 64, 64, 64).
+    """
+
+    proposals: Proposals
+    crops: CropBatch
+    shown: Tensor
+    class_probabilities: Tensor
+    score: Tensor
+    fit: SimilarityFit
+    canonical: Tensor
 
 
 @torch.no_grad()
@@ -34,33 +56,40 @@ def estimate_objects(
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl."), and the box is the detector's.
     """
-    m = len(proposals.center)
-    if m == 0:
+    if len(proposals.center) == 0:
         return ()
-    frame = torch.zeros(m, dtype=torch.long, device=proposals.center.device)
-    size = proposals.extents.clamp(0.15, 5.0) * config.network.crop_margin
-    crops = CropBatch(frame, proposals.center, size)
+    found = _complete(network, fields, batch, proposals, config)
+    filled = (found.shown >= 0.5).flatten(1).any(dim=1)
+    order = torch.argsort(found.score, descending=True, stable=True)
+    return tuple(_estimate(i, found, volume, config) for i in order.tolist() if filled[i])
+
+
+def _complete(
+    network: ComposeNet,
+    fields: VoxelFields,
+    batch: VolumeBatch,
+    proposals: Proposals,
+    config: Config,
+) -> _Completed:
+    center = proposals.center
+    frame = torch.zeros(len(center), dtype=torch.long, device=center.device)
+    size = proposals.extents.clamp(*CROP_LIMITS_M) * config.network.crop_margin
+    crops = CropBatch(frame, center, size)
     objects = network.object_fields(fields.features, batch, crops)
-    probabilities = (proposals.class_probabilities * objects.class_logits.softmax(dim=1)).clamp_min(
-        1e-9
-    )
-    probabilities = probabilities / probabilities.sum(dim=1, keepdim=True)
+    joint = proposals.class_probabilities * objects.class_logits.softmax(dim=1)
+    probabilities = joint / joint.sum(dim=1, keepdim=True).clamp_min(1e-12)
     score = (proposals.score * objects.quality.sigmoid()).sqrt() * probabilities.amax(dim=1)
     shown = _shown_occupancy(objects, config)
     coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
-    weights = coarse * (coarse >= 0.5)
     points = crops.points(config.network.crop_cells // 2)
-    fit = fit_similarity(objects.nocs.flatten(2).transpose(1, 2), points, weights)
+    correspondences = objects.nocs.flatten(2).transpose(1, 2)
+    fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
     canonical = _canonical(shown, crops, fit)
-    return tuple(
-        _estimate(i, crops, proposals, probabilities, score, shown, fit, canonical, volume, config)
-        for i in torch.argsort(score, descending=True, stable=True).tolist()
-        if bool((weights[i] > 0).any())
-    )
+    return _Completed(proposals, crops, shown, probabilities, score, fit, canonical)
 
 
 def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
-    """(M, C, C, C) probability, rescaled so that 0.5 is the decision threshold."""
+    """(M, C, C, C) probability, stretched so that 0.5 is the decision threshold."""
     probability = objects.occupancy.sigmoid()
     threshold = config.network.occupancy_threshold
     low = 0.5 * probability / threshold
@@ -73,72 +102,54 @@ def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
 
 def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit) -> Tensor:
     """(M, 64, 64, 64) occupancy resampled in canonical space through the fitted similarity."""
-    steps = (torch.arange(CANONICAL_CELLS, device=shown.device) + 0.5) / CANONICAL_CELLS - 0.5
-    cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(1, -1, 3)
+    n = CANONICAL_CELLS
+    cells = CropBatch(
+        crops.frame[:1], torch.zeros_like(crops.center[:1]), torch.ones_like(crops.size[:1])
+    ).points(n)
     world = fit.scale[:, None, None] * (cells @ fit.R.transpose(1, 2)) + fit.t[:, None]
     unit = 2 * (world - crops.center[:, None]) / crops.size[:, None]
-    n = CANONICAL_CELLS
     grid = unit.flip(-1).view(-1, n, n, n, 3)
     return F.grid_sample(shown[:, None], grid, padding_mode="zeros", align_corners=False)[:, 0]
 
 
-def _estimate(
-    i: int,
-    crops: CropBatch,
-    proposals: Proposals,
-    probabilities: Tensor,
-    score: Tensor,
-    shown: Tensor,
-    fit: SimilarityFit,
-    canonical: Tensor,
-    volume: Volume,
-    config: Config,
-) -> ObjectEstimate:
+def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> ObjectEstimate:
+    """Proposal i in the world."""
     R_world_grid, low = volume.T_world_grid[:3, :3], volume.T_world_grid[:3, 3]
     cells = config.network.crop_cells
-    solid = shown[i].flatten() >= 0.5
-    cell_size = (crops.size[i] / cells).cpu().numpy().astype(np.float64)
-    points_grid = _points(crops, i, cells)[solid].cpu().numpy().astype(np.float64)
-    if len(points_grid) == 0:  # a cell passes only after pooling: keep the strongest one
-        strongest = int(shown[i].flatten().argmax())
-        points_grid = _points(crops, i, cells)[strongest][None].cpu().numpy().astype(np.float64)
+    cell_m = _numpy(found.crops.size[i]) / cells
+    filled = found.shown[i].flatten() >= 0.5
+    points_grid = _numpy(found.crops.points_of(i, cells)[filled])
     if config.tracking.use_completion:
-        box = _box(points_grid, cell_size, R_world_grid, low)
+        first, last = points_grid.min(axis=0) - cell_m / 2, points_grid.max(axis=0) + cell_m / 2
+        center, extents = (first + last) / 2, last - first
     else:
-        center, extents = (
-            x[i].cpu().numpy().astype(np.float64) for x in (proposals.center, proposals.extents)
-        )
-        box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
+        center, extents = _numpy(found.proposals.center[i]), _numpy(found.proposals.extents[i])
+    box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
+    similarity = _similarity(i, found.fit, box, R_world_grid, low)
     points_world = points_grid @ R_world_grid.T + low
-    observable = bool(fit.observable[i])
-    if observable:
-        similarity = Similarity(
-            float(fit.scale[i]),
-            R_world_grid @ fit.R[i].cpu().numpy().astype(np.float64),
-            R_world_grid @ fit.t[i].cpu().numpy().astype(np.float64) + low,
-        )
-    else:
-        similarity = Similarity(float(np.linalg.norm(box.extents)), np.eye(3), box.center)
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(
-        class_id=int(probabilities[i].argmax()),
-        score=float(score[i]),
+        class_id=int(found.class_probabilities[i].argmax()),
+        score=float(found.score[i]),
         box=box,
         S_world_canonical=similarity,
-        pose_observable=observable,
-        extents_m=2 * np.abs(local).max(axis=0) + cell_size.mean(),
+        pose_observable=bool(found.fit.observable[i]),
+        extents_m=2 * np.abs(local).max(axis=0) + cell_m.mean(),
         points_world=points_world.astype(np.float32),
         points_canonical=(local / similarity.scale_m).astype(np.float32),
-        canonical=canonical[i].cpu().numpy(),
+        canonical=found.canonical[i].cpu().numpy(),
     )
 
 
-def _points(crops: CropBatch, i: int, cells: int) -> Tensor:
-    one = CropBatch(crops.frame[i : i + 1], crops.center[i : i + 1], crops.size[i : i + 1])
-    return one.points(cells)[0]
+def _similarity(
+    i: int, fit: SimilarityFit, box: Box, R_world_grid: FloatArray, low: FloatArray
+) -> Similarity:
+    """The fit in the world; the box with identity rotation where there is none."""
+    if not bool(fit.observable[i]):
+        return Similarity(float(np.linalg.norm(box.extents)), np.eye(3), box.center)
+    R, t = R_world_grid @ _numpy(fit.R[i]), R_world_grid @ _numpy(fit.t[i]) + low
+    return Similarity(float(fit.scale[i]), R, t)
 
 
-def _box(points_grid, cell_size, R_world_grid, low) -> Box:
-    """Tight world box of the filled cells."""
-    lo, hi = points_grid.min(axis=0) - cell_size / 2, points_grid.max(axis=0) + cell_size / 2
-    return Box(R_world_grid @ ((lo + hi) / 2) + low, np.abs(R_world_grid) @ (hi - lo))
+def _numpy(values: Tensor) -> NDArray[np.float64]:
+    return values.cpu().numpy().astype(np.float64)

@@ -59,6 +59,11 @@ class CropBatch:
         unit = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(-1, 3)
         return self.center[:, None] + unit * self.size[:, None]
 
+    def points_of(self, i: int, cells: int) -> Tensor:
+        """(cells^3, 3) cell centres of one box."""
+        one = slice(i, i + 1)
+        return CropBatch(self.frame[one], self.center[one], self.size[one]).points(cells)[0]
+
 
 def collate(volumes: Sequence[Volume]) -> VolumeBatch:
     """Stack volumes; all need the same image size and voxel size."""
