@@ -14,7 +14,7 @@ from composenet.geometry.box import OrientedBox, aabb_of_oriented, iou
 from composenet.geometry.transform import angle_between_deg, make_T, rotation_z
 from composenet.network.batch import CropBatch, VolumeBatch, collate
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import ObjectFields
+from composenet.network.object_net import HEADING_BINS, ObjectFields
 from composenet.objects import estimate_objects
 from composenet.records import CLASS_NAMES, ObjectEstimate
 from composenet.volume.voxels import FEATURE_NAMES, Volume
@@ -96,7 +96,7 @@ class Oracle:
             surface=surface.view(m, CELLS, CELLS, CELLS),
             quality=torch.full((m,), 4.0),
             class_logits=torch.zeros(m, 10),
-            heading_logits=torch.zeros(m, 12),
+            heading_logits=torch.zeros(m, HEADING_BINS),
         )
 
 

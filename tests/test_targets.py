@@ -15,11 +15,12 @@ from composenet.geometry.symmetry import ORDER, turns
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.network.batch import CropBatch
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import HEADING_BINS, ObjectFields
+from composenet.network.object_net import HEADING_BINS, ObjectFields, likeliest_heading
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.losses import (
     detection_losses,
     heading_bins,
+    heading_teacher,
     object_losses,
     valid_headings,
 )
@@ -87,7 +88,7 @@ def true_fields(batch: TrainingBatch, boxes: TrainingCrops, turn: np.ndarray) ->
     local = (boxes.crops.points(CELLS // 2) - batch.t[:, None]) @ R
     nocs = local / batch.scale_m[:, None, None]
     side = CELLS // 2
-    bins = heading_bins(valid_headings(batch, boxes.rows)[0][:, 0])
+    bins = heading_bins(torch.atan2(R[:, 1, 0], R[:, 0, 0]))
     return ObjectFields(
         occupancy=torch.where(target > 0.5, 20.0, -20.0),
         nocs=nocs.transpose(1, 2).reshape(m, 3, side, side, side).requires_grad_(True),
@@ -161,6 +162,8 @@ def test_only_turns_of_the_symmetry_are_free(symmetry: Symmetry, turned_deg: int
     free = turned_deg % (360 / ORDER[symmetry]) == 0
     for name in ROTATION_PARTS:
         assert (losses[name].item() < 1e-4) == free, name
+    near = turned_deg < 180 / HEADING_BINS
+    assert (losses["heading"].item() < 1e-4) == (free or near)
     for name in ("scale", "translation"):
         assert losses[name].item() < 1e-4
     if symmetry is Symmetry.NONE:
@@ -177,6 +180,27 @@ def test_turns_form_the_group(symmetry: Symmetry) -> None:
         gaps = np.abs(products[:, None] - group[None]).max(axis=(2, 3))
         assert (gaps.min(axis=1) < 1e-9).all() and len(set(gaps.argmin(axis=1))) == len(group)
         np.testing.assert_allclose(a @ [0, 0, 1], [0, 0, 1])
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, -3.0])
+@pytest.mark.parametrize("symmetry", list(Symmetry))
+def test_the_teacher_gives_the_valid_heading_that_the_network_likes(
+    symmetry: Symmetry, yaw: float
+) -> None:
+    batch = one_object(symmetry, yaw)
+    boxes = crops_of(batch)
+    yaws, valid = valid_headings(batch, boxes.rows)
+    assert valid.sum() == min(ORDER[symmetry], 4)
+    alike = batch.R_grid_object @ torch.from_numpy(turns(symmetry)).float()
+    generator = torch.Generator().manual_seed(0)
+    for angle in yaws[valid]:
+        direction = torch.stack([angle.cos(), angle.sin(), torch.zeros(())])
+        assert (alike[:, :, 0] @ direction).max() > 1 - 1e-5
+        logits = torch.nn.functional.one_hot(heading_bins(angle[None]), HEADING_BINS).float()
+        (taught,) = heading_teacher(batch, boxes, generator)(logits)
+        assert torch.cos(taught - angle) > np.cos(np.pi / HEADING_BINS) - 1e-6
+        negative = replace(boxes, positive=torch.zeros(1, dtype=torch.bool))
+        assert heading_teacher(batch, negative, generator)(logits) == likeliest_heading(logits)
 
 
 def test_gradients_are_finite_and_point_to_the_truth() -> None:
@@ -204,7 +228,7 @@ def test_perfect_voxels_cost_nothing_and_frames_without_objects_are_fine() -> No
         class_logits=40.0 * torch.nn.functional.one_hot(batch.class_id, 10).expand(80, 10),
     )
     for name, value in detection_losses(fields, batch).items():
-        assert float(value) < 1e-5, name
+        assert value.item() < 1e-5, name
     empty = collate_samples([make_sample(volume_of(), [], [])] * 2)
     losses = detection_losses(fields, empty)
     assert losses["objectness"] > 1 and not losses["center"] and not losses["class"]

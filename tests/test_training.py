@@ -1,0 +1,293 @@
+"""The training loop: learning, resuming, stopping, several processes, scenes."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from composenet.config import dump
+from composenet.errors import DataError, WeightsError
+from composenet.network.weights import load_weights
+from composenet.training import data, loop
+from composenet.training.checkpoint import load_checkpoint
+from composenet.training.config import TrainingConfig
+from composenet.training.data import SceneSource, SceneStream, crop_view, samples_of_scene
+from composenet.training.disk import disk_scene
+from composenet.training.loop import RunOptions, Trainer, learning_rate, train
+from composenet.training.processes import Group, StopRequest
+from composenet.training.targets import TrainingBatch, collate_samples
+from conftest import TINY
+
+CONFIG = TrainingConfig(
+    model=TINY, frames_per_scene=3, max_boxes=3, rate_warmup_steps=1, joint_from_step=2
+)
+ALONE = Group(0, 1, torch.device("cpu"))
+COMMAND = [sys.executable, "-m", "composenet", "train", "--device", "cpu", "--threads", "1"]
+
+
+def options(out: Path, **changes: object) -> RunOptions:
+    plain = RunOptions(out, 5.0, max_steps=3, workers=0, threads=1, validation_scenes=1)
+    return replace(plain, device="cpu", **changes)
+
+
+def batch_of(recordings: Path, config: TrainingConfig = CONFIG) -> TrainingBatch:
+    rng = np.random.default_rng(0)
+    samples = [next(samples_of_scene(disk_scene(recordings, i), config, rng)) for i in range(2)]
+    return collate_samples(samples)
+
+
+def test_one_batch_is_learned(recordings: Path, tmp_path: Path) -> None:
+    config = replace(CONFIG, joint_from_step=30)
+    trainer = Trainer(config, options(tmp_path), ALONE)
+    batch = batch_of(recordings)
+    values = [trainer.step(batch, 1e-2) for _ in range(33)]
+    totals = [v["total"] for v in values]
+    assert np.isfinite(totals).all()
+    assert np.mean(totals[25:30]) < 0.7 * np.mean(totals[:3])
+    assert ["rotation" in v for v in values] == [False] * 30 + [True] * 3  # the second stage
+    assert trainer.progress.step == 33 and trainer.progress.frames == 66
+
+
+def test_a_run_goes_on_where_it_stopped(recordings: Path, tmp_path: Path) -> None:
+    source = SceneSource(data_dir=recordings)
+    weights = train(CONFIG, options(tmp_path), source)
+    first = load_checkpoint(tmp_path / "checkpoint.pt")
+    assert first["config"] == CONFIG
+    assert (first["progress"].step, first["progress"].frames) == (3, 6)
+    train(CONFIG, options(tmp_path, max_steps=2), source)
+    second = load_checkpoint(tmp_path / "checkpoint.pt")
+    assert second["progress"].step == 5 and second["progress"].scenes > first["progress"].scenes
+    moments = [v["step"] for v in second["optimizer"]["state"].values()]
+    assert moments and max(float(step) for step in moments) == 5
+    lines = (tmp_path / "steps.log").read_text().splitlines()
+    steps = [line for line in lines if line.startswith("step=")]
+    assert [line.split()[0] for line in steps] == [f"step={n}" for n in range(1, 6)]
+    assert not any("nan" in line or "inf" in line.replace("instance", "") for line in steps)
+    _, config, notes = load_weights(weights)
+    assert config == TINY and notes["steps"] == 5
+
+
+def test_time_is_up(recordings: Path, tmp_path: Path) -> None:
+    start = time.monotonic()
+    run = options(tmp_path, max_steps=None, max_minutes=1 / 60, validation_scenes=0)
+    train(CONFIG, run, SceneSource(data_dir=recordings))
+    assert time.monotonic() - start < 10
+    assert load_checkpoint(tmp_path / "checkpoint.pt")["progress"].step > 0
+
+
+def test_the_rate_warms_up_and_falls() -> None:
+    config = replace(CONFIG, rate_warmup_steps=10, decay_share=0.5, learning_rate=1.0)
+    assert learning_rate(config, 0, 0.0) == pytest.approx(0.1)
+    assert learning_rate(config, 50, 0.5) == 1.0
+    assert learning_rate(config, 50, 0.75) == pytest.approx(0.5)
+    assert learning_rate(config, 50, 1.0) == pytest.approx(0.01)
+
+
+def test_beginning_from_weights(tiny_weights: Path, tmp_path: Path) -> None:
+    trainer = Trainer(CONFIG, options(tmp_path, start_from=tiny_weights), ALONE)
+    given, _, _ = load_weights(tiny_weights)
+    for name, value in given.state_dict().items():
+        assert torch.equal(trainer.module.network.state_dict()[name], value)
+        assert torch.equal(trainer.averaged_network.state_dict()[name], value)
+    with pytest.raises(WeightsError, match="another configuration") as caught:
+        Trainer(TrainingConfig(), options(tmp_path, start_from=tiny_weights), ALONE)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damage", ["cut", "text", "foreign", "lacking"])
+def test_a_corrupt_checkpoint(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "checkpoint.pt"
+    Trainer(CONFIG, options(tmp_path), ALONE).save()
+    stored = torch.load(path, weights_only=True)
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:2000])
+    elif damage == "text":
+        path.write_text("hello")
+    else:
+        changed = {"format": "other/1"} if damage == "foreign" else {**stored}
+        changed.pop("optimizer", None)
+        torch.save(changed, path)
+    with pytest.raises(WeightsError, match=r"checkpoint\.pt") as caught:
+        Trainer(CONFIG, options(tmp_path), ALONE)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_of_another_network(tmp_path: Path) -> None:
+    Trainer(CONFIG, options(tmp_path), ALONE).save()
+    with pytest.raises(WeightsError, match="another configuration") as caught:
+        Trainer(TrainingConfig(), options(tmp_path), ALONE)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_damaged_data_is_one_line(recordings: Path, tmp_path: Path, workers: int) -> None:
+    folder = tmp_path / "data" / "val_00000"
+    folder.parent.mkdir()
+    subprocess.run(["cp", "-r", recordings / folder.name, folder], check=True)
+    for path in (folder / "depth").iterdir():
+        path.write_bytes(path.read_bytes()[:100])
+    run = options(tmp_path, workers=workers, validation_scenes=0)
+    with pytest.raises(DataError, match="val_00000, frame") as caught:
+        train(CONFIG, run, SceneSource(data_dir=folder.parent))
+    assert "\n" not in str(caught.value) and "DataError" not in str(caught.value)
+
+
+def test_an_empty_folder_of_data(tmp_path: Path) -> None:
+    run = options(tmp_path / "out", validation_scenes=0)
+    with pytest.raises(DataError, match="no sequences here"):
+        train(CONFIG, run, SceneSource(data_dir=tmp_path))
+
+
+def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
+    from composenet.synth.scene import SceneOptions, generate_scene
+
+    scene = generate_scene("val", 1, SceneOptions(frames=6, image_size=(160, 120)))
+    stored = disk_scene(recordings, 3)  # two of them, over and over
+    assert stored.n_frames == 6
+    ours, theirs = stored.render(4), scene.render(4, color=False)
+    np.testing.assert_array_equal(ours.frame.depth_m, theirs.frame.depth_m)
+    np.testing.assert_array_equal(ours.ids, theirs.ids)
+    np.testing.assert_array_equal(ours.frame.T_world_camera, theirs.frame.T_world_camera)
+    for a, b in zip(stored.frame_truth(4, ours.ids), scene.frame_truth(4, theirs.ids), strict=True):
+        assert (a.gt_id, a.visible_pixels) == (b.gt_id, b.visible_pixels)
+    assert Image.open(stored.folder / "depth" / "4.png").size == (160, 120)
+
+
+def test_short_sequences_give_what_they_have(recordings: Path) -> None:
+    many = replace(CONFIG, frames_per_scene=50)
+    rng = np.random.default_rng(0)
+    assert len(list(samples_of_scene(disk_scene(recordings, 0), many, rng))) == 6
+
+
+def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:
+    whole = disk_scene(recordings, 0).render(0)
+    view, _ = crop_view(whole.frame, whole.ids, np.random.default_rng(0))
+    kept = view.depth_m > 0
+    assert 0 < kept.sum() < (whole.frame.depth_m > 0).sum()
+    np.testing.assert_array_equal(view.depth_m[kept], whole.frame.depth_m[kept])
+    np.testing.assert_array_equal(view.camera.K, whole.frame.camera.K)
+
+
+class Drawn:
+    """In place of scenes: notes which indices a stream draws; a batch is a list of them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.patch = monkeypatch
+        monkeypatch.setattr(SceneSource, "scene", lambda _, index: index)
+        monkeypatch.setattr(data, "samples_of_scene", lambda i, config, _: [i] * 5)
+        monkeypatch.setattr(data, "collate_samples", lambda picked: picked)
+
+    def batches(
+        self, count: int, start: int, worker: int, workers: int, rank: int = 0, size: int = 1
+    ) -> set[int]:
+        """Scenes in the first batches of one worker of one process."""
+        info = SimpleNamespace(id=worker, num_workers=workers)
+        self.patch.setattr(data, "get_worker_info", lambda: info)
+        stream = SceneStream(SceneSource(), TrainingConfig(), start, rank, size)
+        return set(itertools.chain(*itertools.islice(iter(stream), count)))
+
+
+def test_no_two_workers_or_processes_share_a_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = Drawn(monkeypatch)
+    sets = [drawn.batches(30, 7, w, 3, rank, 2) for rank in range(2) for w in range(3)]
+    assert min(set.union(*sets)) == 7
+    assert sum(map(len, sets)) == len(set.union(*sets))
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+@pytest.mark.parametrize("steps", [1, 7, 60])
+def test_a_resumed_run_sees_new_scenes(
+    monkeypatch: pytest.MonkeyPatch, workers: int, steps: int, tmp_path: Path
+) -> None:
+    drawn = Drawn(monkeypatch)
+    each = -(-steps // workers)
+    used = set.union(*[drawn.batches(each, 0, w, workers) for w in range(workers)])
+    monkeypatch.setattr(loop, "DataLoader", lambda *_, **__: itertools.repeat(None))
+    trainer = Trainer(replace(TrainingConfig(), model=TINY), options(tmp_path), ALONE)
+    next(loop._batches(trainer, options(tmp_path, workers=workers), SceneSource()))
+    trainer.progress.scenes += steps * loop._scenes_per_step(trainer.config, 1)
+    assert max(used) < trainer.progress.scenes
+
+
+def _one_of_two(rank: int, port: int, recordings: Path, out: Path) -> None:
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2", "LOCAL_RANK": str(rank)}
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    # The rate falls with time from the start: processes that read their own clocks would part.
+    config = replace(CONFIG, decay_share=1.0)
+    states = []
+    save = Trainer.save
+
+    def keep(trainer: Trainer) -> None:
+        save(trainer)
+        states.append({k: v.clone() for k, v in trainer.module.named_parameters()})
+
+    Trainer.save = keep  # type: ignore[method-assign]
+    run = options(out, max_minutes=0.5, validation_scenes=0)
+    train(config, run, SceneSource(data_dir=recordings))
+    torch.save(states[-1], out / f"parameters{rank}.pt")
+
+
+def test_two_processes_stay_equal(recordings: Path, tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    torch.multiprocessing.spawn(_one_of_two, (port, recordings, tmp_path), nprocs=2)
+    first, second = (torch.load(tmp_path / f"parameters{rank}.pt") for rank in range(2))
+    fresh = Trainer(CONFIG, options(tmp_path / "fresh"), ALONE).module
+    assert list(first) == list(second)
+    for name in first:
+        assert torch.equal(first[name], second[name]), name
+    assert any(not torch.equal(first[n], v) for n, v in fresh.named_parameters())
+    progress = load_checkpoint(tmp_path / "checkpoint.pt")["progress"]
+    assert (progress.step, progress.frames) == (3, 12)  # both processes' frames
+
+
+def test_ctrl_c_stops_cleanly_and_keeps_a_checkpoint(recordings: Path, tmp_path: Path) -> None:
+    dump(CONFIG, tmp_path / "config.json")
+    arguments = ["--out", tmp_path / "run", "--config", tmp_path / "config.json"]
+    arguments += ["--data", recordings, "--workers", "1", "--max-minutes", "5"]
+    log = tmp_path / "run" / "steps.log"
+    process = subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        line = process.stdout.readline() if process.stdout else ""  # the first step is done
+        assert line.startswith("step "), line
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and errors == ""
+    assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["progress"].step >= 1
+    assert "validation" not in log.read_text()  # no waiting for it
+    load_weights(tmp_path / "run" / "weights.safetensors")
+
+
+def test_only_a_later_ctrl_c_stops_at_once() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with StopRequest() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop.asked_at
+        signal.raise_signal(signal.SIGINT)  # torchrun passes it on
+        stop.asked_at -= 2
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
