@@ -1,5 +1,6 @@
 """Scenes: repeatable, physically possible, with truth that agrees with the images."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from composenet.records import (
     Symmetry,
 )
 from composenet.synth import cad, stats
-from composenet.synth.scene import Scene, SceneOptions, generate_scene
+from composenet.synth.occupancy import occupancy
+from composenet.synth.scene import Scene, SceneOptions, generate_scene, stretched
 from composenet.synth.solid import union_of
 
 SHARED_CAD = Path(__file__).resolve().parents[2] / "shared" / "cad"
@@ -235,6 +237,22 @@ def test_cad_folders_that_are_none(tmp_path: Path) -> None:
     write_cad(tmp_path, "bed", trimesh.creation.box([200, 50, 150]))
     with pytest.raises(DataError, match="metres"):
         cad.load_shape(tmp_path / "bed" / "one.obj", "bed")
+
+
+def test_occupancy_of_a_stretched_mesh_is_kept(tmp_path: Path) -> None:
+    """An open box: its winding numbers cost, so its stretched copies reuse its cells."""
+    mesh = trimesh.creation.box([1.0, 0.5, 1.0])
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    write_cad(tmp_path, "desk", mesh)
+    shape = cad.load_shape(tmp_path / "desk" / "one.obj", "desk")
+    assert not shape.watertight
+    wide = stretched(shape, np.random.default_rng(0))
+    assert wide.prototype is shape
+    np.testing.assert_array_equal(occupancy(wide), occupancy(shape))
+    again = stretched(wide, np.random.default_rng(1))
+    assert again.prototype is shape
+    fresh = occupancy(replace(wide, prototype=None))
+    assert np.mean(fresh == occupancy(wide)) > 0.98
 
 
 def test_cad_replaces_furniture() -> None:

@@ -13,12 +13,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.synth.columns import Place, columns_of, meet
+from composenet.synth.columns import Place, as_place, columns_of, meet
 from composenet.synth.room import Room
 from composenet.synth.shape import Shape
 
 Footprint = tuple[float, float, float, float, float]
 
+_HANGS_HIGH_M = 1.1
 # Low things may stand in the free space below these.
 _OPEN_BELOW = ("table", "desk")
 _MAY_GO_BELOW = ("chair", "clutter")
@@ -76,9 +77,15 @@ def touches(
     return any(_meet(item, place, others[int(k)], places[k]) for k in np.flatnonzero(near))
 
 
+def _taken_m(item: Item) -> tuple[float, float]:
+    """The heights it takes up: what hangs low keeps the floor below it free."""
+    low, high = item.span_m
+    return (0.0 if item.support is None and low < _HANGS_HIGH_M else low), high
+
+
 def _meet(item: Item, place: Place, other: Item, other_place: NDArray[np.float64]) -> bool:
     """Whether two things whose footprints overlap are in each other's way."""
-    (low, high), (other_low, other_high) = item.span_m, other.span_m
+    (low, high), (other_low, other_high) = _taken_m(item), _taken_m(other)
     if low > other_high or other_low > high:
         return False
     low_thing, high_thing = sorted((item, other), key=lambda i: i.shape.class_name in _OPEN_BELOW)
@@ -88,8 +95,7 @@ def _meet(item: Item, place: Place, other: Item, other_place: NDArray[np.float64
         or not (item.on_floor and other.on_floor)
     ):
         return True
-    x, y, yaw = map(float, other_place)
-    return meet(columns_of(item.shape), place, columns_of(other.shape), (x, y, yaw))
+    return meet(columns_of(item.shape), place, columns_of(other.shape), as_place(other_place))
 
 
 def inside(room: Room, footprint: Footprint) -> bool:

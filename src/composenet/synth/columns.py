@@ -41,6 +41,11 @@ def columns_of(shape: Shape) -> Columns:
     return Columns(bits, size)
 
 
+def as_place(values: NDArray[np.float64]) -> Place:
+    """(x, y, yaw) of an array (3,)."""
+    return float(values[0]), float(values[1]), float(values[2])
+
+
 def meet(a: Columns, place_a: Place, b: Columns, place_b: Place) -> bool:
     """Whether two things standing on one level at (x, y, yaw) of their centres come closer to
     each other than about a cell. Never misses surfaces that cross."""

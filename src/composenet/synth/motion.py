@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.synth.collision import Item, inside, touches
+from composenet.synth.columns import Place, as_place
 from composenet.synth.placement import Layout
 
 MIN_MOVING_FRAMES = 5
@@ -62,11 +63,19 @@ def _moving_frames(path: NDArray[np.float64]) -> int:
 
 
 def _roam(layout: Layout, paths: NDArray[np.float64], index: int) -> NDArray[np.float64]:
-    """(F, 3): one mover among the others, stop and go."""
+    """(F, 3): one mover among the others, stop and go, making way for those that come its way.
+    It stays where it was for good if it cannot."""
     rng, mover = layout.rng, layout.items[index]
     _, _, _, hx, hy = mover.footprint
     others = [i for i, o in enumerate(layout.items) if o.support is None and i != index]
     things = [layout.items[i] for i in others]
+    alone = not np.ptp(paths[:, others], axis=0).any()
+
+    def is_free(place: Place, f: int) -> bool:
+        return inside(layout.room, (*place, hx, hy)) and not touches(
+            mover, place, things, paths[f, others], 0.01
+        )
+
     path = paths[:, index].copy()
     going, walk = bool(rng.random() < 0.5), _walk(rng, int(rng.integers(2, 6)))
     for f in range(1, len(path)):
@@ -74,21 +83,22 @@ def _roam(layout: Layout, paths: NDArray[np.float64], index: int) -> NDArray[np.
         if f >= walk.until:
             going = not going
             walk = _walk(rng, f + int(rng.integers(6, 18) if going else rng.integers(2, 6)))
-        if not going:
+        may_stay = alone or is_free(as_place(path[f]), f)
+        if may_stay and not going:
             continue
         for attempt in range(10):
             heading = walk.heading if attempt == 0 else rng.uniform(-np.pi, np.pi)
             burst = 2.6 if rng.random() < 0.04 else rng.uniform(0.8, 1.2)
             step = walk.step_m * burst * np.array([np.cos(heading), np.sin(heading)])
-            x, y = path[f - 1, :2] + step
             turn = walk.turn * burst * (1 if attempt < 5 else -1)
-            place = (float(x), float(y), float(path[f - 1, 2] + turn))
-            if inside(layout.room, (*place, hx, hy)) and not touches(
-                mover, place, things, paths[f, others], 0.01
-            ):
+            place = as_place(path[f - 1] + [*step, turn])
+            if is_free(place, f):
                 path[f] = place
                 walk = Walk(heading + rng.normal(0, 0.1), walk.step_m, walk.turn, walk.until)
                 break
+        else:
+            if not may_stay:
+                return paths[:, index].copy()
     return path
 
 

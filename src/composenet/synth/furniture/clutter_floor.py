@@ -64,7 +64,6 @@ def floor_lamp(rng: Rng) -> Shape:
         "floor_lamp",
         (parts, steel),
         (shade(rng, radius, high, tall - high), cover),
-        symmetry=Symmetry.INF,
     )
 
 
@@ -133,10 +132,10 @@ def bin_or_basket(rng: Rng) -> Shape:
     kind = rng.integers(3)
     body = vessel([radius * rng.uniform(0.65, 1.0), radius], [0.0, tall], 0.012)
     if kind == 0:
-        return assemble("bin", (body, stuff), symmetry=Symmetry.INF)
+        return assemble("bin", (body, stuff))
     if kind == 1:
         lid = cushion((2 * radius, 2 * radius, 0.2), (0, 0, tall), 2.2, 18)
-        return assemble("lidded_bin", ([body, lid], stuff), symmetry=Symmetry.INF)
+        return assemble("lidded_bin", ([body, lid], stuff))
     angle = np.linspace(0, np.pi, 9)
     up = float(rng.choice([1, -0.3]))
     bow = np.stack(
@@ -212,7 +211,6 @@ def ball(rng: Rng) -> Shape:
         return assemble(
             "ball",
             (cushion(np.full(3, size), (0, 0, size / 2), 2.0, 20), plastic(rng)),
-            symmetry=Symmetry.INF,
         )
     wide = rng.uniform(0.6, 0.95)
     bag = [
@@ -244,9 +242,7 @@ def pouf(rng: Rng) -> Shape:
     square = chance(rng, 0.4)
     outline = rounded_rectangle(wide, wide, 0.06) if square else oval(wide, wide)
     solid = soft_slab(outline, 0.0, tall, rng.uniform(0.02, 0.15))
-    return assemble(
-        "pouf", (solid, fabric(rng)), symmetry=Symmetry.FOUR if square else Symmetry.INF
-    )
+    return assemble("pouf", (solid, fabric(rng)))
 
 
 def picture(rng: Rng) -> Shape:
@@ -281,5 +277,4 @@ def big_vase(rng: Rng) -> Shape:
     return assemble(
         "floor_vase",
         (vase(rng, rng.uniform(0.4, 0.9), rng.uniform(0.2, 0.4)), ceramic(rng)),
-        symmetry=Symmetry.INF,
     )

@@ -20,15 +20,14 @@ from composenet.synth.furniture.parts import (
 from composenet.synth.shape import Material, Shape, ShapeBuilder
 
 
-def assemble(
-    style: str, *parts: tuple[Solid | list[Solid], Material], symmetry: Symmetry = Symmetry.NONE
-) -> Shape:
-    """Clutter from solids (or lists of them), each with its material."""
+def assemble(style: str, *parts: tuple[Solid | list[Solid], Material]) -> Shape:
+    """Clutter from solids (or lists of them), each with its material; no symmetry is declared, as
+    no pose of it is ever asked for."""
     builder = ShapeBuilder()
     for solids, material in parts:
         for solid in solids if isinstance(solids, list) else [solids]:
             builder.add(solid, material)
-    return builder.build("clutter", style, symmetry)
+    return builder.build("clutter", style, Symmetry.NONE)
 
 
 def vessel(radii: ArrayLike, heights: ArrayLike, wall: float, segments: int = 20) -> Solid:

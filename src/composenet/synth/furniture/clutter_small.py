@@ -52,7 +52,7 @@ def table_lamp(rng: Rng) -> Shape:
         else cylinder(0.01, tall * 0.7)
     )
     cap = shade(rng, size, tall * 0.42, tall * 0.58)
-    return assemble("table_lamp", ([foot, stem], body), (cap, fabric(rng)), symmetry=Symmetry.INF)
+    return assemble("table_lamp", ([foot, stem], body), (cap, fabric(rng)))
 
 
 def small_plant(rng: Rng) -> Shape:
@@ -116,7 +116,7 @@ def vessels(rng: Rng) -> Shape:
     """A vase, jar or bottle."""
     tall, wide = rng.uniform(0.1, 0.4), rng.uniform(0.07, 0.2)
     stuff = [ceramic, glass, paint, stone][rng.integers(4)](rng)
-    return assemble("vase", (vase(rng, tall, wide), stuff), symmetry=Symmetry.INF)
+    return assemble("vase", (vase(rng, tall, wide), stuff))
 
 
 def bottle(rng: Rng) -> Shape:
@@ -128,9 +128,7 @@ def bottle(rng: Rng) -> Shape:
         cone(radius, radius * 0.4, tall * neck * 0.5, (0, 0, tall * (1 - neck)), 14),
         cylinder(radius * 0.4, tall, segments=10),
     ]
-    return assemble(
-        "bottle", (parts, glass(rng) if chance(rng, 0.6) else plastic(rng)), symmetry=Symmetry.INF
-    )
+    return assemble("bottle", (parts, glass(rng) if chance(rng, 0.6) else plastic(rng)))
 
 
 def mug(rng: Rng) -> Shape:
@@ -157,7 +155,7 @@ def bowl(rng: Rng) -> Shape:
     t = np.linspace(0, 1, 5)
     dish = vessel(radius * (0.4 + 0.6 * np.sqrt(t)), tall * t, 0.006)
     if chance(rng, 0.5):
-        return assemble("bowl", (dish, ceramic(rng)), symmetry=Symmetry.INF)
+        return assemble("bowl", (dish, ceramic(rng)))
     fruit = [
         cushion(
             np.full(3, rng.uniform(0.06, 0.08)),
@@ -260,7 +258,7 @@ def toy(rng: Rng) -> Shape:
     size = rng.uniform(0.08, 0.25)
     if chance(rng, 0.5):
         ball = cushion((size, size, size), (0, 0, size / 2), 2.0, 16)
-        return assemble("ball", (ball, plastic(rng)), symmetry=Symmetry.INF)
+        return assemble("ball", (ball, plastic(rng)))
     s = size / 0.25
     parts = [cushion((0.16 * s, 0.18 * s, 0.2 * s), (0, 0, 0.1 * s), 2.0, 10),
              cushion((0.13 * s, 0.14 * s, 0.13 * s), (0.01 * s, 0, 0.25 * s), 2.0, 10)]  # fmt: skip
