@@ -12,14 +12,16 @@ from composenet.config import Config, DetectionConfig, NetworkConfig, TrackingCo
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch comes in: others compute, too
 
 TINY = Config(
-    volume=VolumeConfig(voxel_size_m=0.1),
+    volume=VolumeConfig(voxel_size_m=0.15),
     network=NetworkConfig(
         backbone_channels=(4, 4, 6, 6, 8),
         object_channels=(4, 6, 8),
         crop_cells=16,
         occupancy_threshold=0.05,
     ),
-    detection=DetectionConfig(min_cluster_voxels=5, objectness_threshold=0.1, min_score=0.1),
+    detection=DetectionConfig(
+        min_cluster_voxels=5, objectness_threshold=0.1, min_score=0.1, max_proposals=3
+    ),
     tracking=TrackingConfig(min_birth_score=0.0),
 )
 

@@ -22,7 +22,10 @@ def test_umeyama_1991_example():
     source = torch.tensor([[[0, 0], [1, 0], [0, 2]]], dtype=torch.float64)
     target = torch.tensor([[[0, 0], [-1, 0], [0, 2]]], dtype=torch.float64)
     fit = fit_similarity(source, target)
-    expected_R = [[0.8320502943378437, 0.5547001962252291], [-0.5547001962252291, 0.8320502943378437]]
+    expected_R = [
+        [0.8320502943378437, 0.5547001962252291],
+        [-0.5547001962252291, 0.8320502943378437],
+    ]
     np.testing.assert_allclose(fit.R[0], expected_R, atol=1e-12)
     np.testing.assert_allclose(fit.t[0], [-0.8, 0.4], atol=1e-12)
     assert fit.scale[0].item() == pytest.approx(0.7211102550927978, abs=1e-12)
@@ -37,7 +40,9 @@ def test_published_vectors():
             torch.tensor([vector["dst"]], dtype=torch.float64),
         )
         if not fit.observable[0]:
-            assert "R" not in vector or "degenerate" in str(vector).lower() or len(vector["src"]) < 3
+            assert (
+                "R" not in vector or "degenerate" in str(vector).lower() or len(vector["src"]) < 3
+            )
             continue
         np.testing.assert_allclose(fit.R[0], vector["R"], atol=1e-8, err_msg=vector["name"])
         np.testing.assert_allclose(fit.t[0], vector["t"], atol=1e-8, err_msg=vector["name"])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.commands.evaluate import score_folder
+from composenet.commands.evaluate import score_folder, tall_table
 from composenet.commands.track import INTERRUPTED_EXIT_CODE, summary, track_recording
 from composenet.metrics.evaluate import aggregate
-from composenet.metrics.report import RunInfo, sections, to_rich, write_results
+from composenet.metrics.report import RunInfo, sections, write_results
 from composenet.sequences import open_sequence
 
 DEMO_INDEX = 0
@@ -35,6 +35,6 @@ def run_demo(out: Path, *, device: str, frames: int, weights: Path | None = None
     console.print("3/3 scoring it against the generator's ground truth")
     scores = {"full": aggregate([score_folder(recording, result)])}
     write_results(out / "results.json", RunInfo(f"val_{DEMO_INDEX:05d}", seed=0), scores)
-    console.print(to_rich(sections(scores)[0]))
-    console.print(summary(run, result), highlight=False)
+    console.print(tall_table(sections(scores)[0]))
+    console.print(summary(run, result), highlight=False, soft_wrap=True)
     return 0

@@ -17,12 +17,20 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from composenet.commands.progress import progress_bar
 from composenet.commands.score_cache import ScoreCache
 from composenet.errors import ComposenetError, DataError
 from composenet.metrics.evaluate import DatasetScores, SequenceScores, aggregate, evaluate_sequence
-from composenet.metrics.report import RunInfo, sections, to_markdown, to_rich, write_results
+from composenet.metrics.report import (
+    RunInfo,
+    Section,
+    sections,
+    to_markdown,
+    to_rich,
+    write_results,
+)
 from composenet.predictions import read_predictions
 from composenet.records import Box, FloatArray, ObjectFrameTruth, SequenceTruth
 from composenet.sequences import open_sequence
@@ -84,11 +92,18 @@ def run_eval(
         write_results(out / "results.json", info, scores)
         (out / "results.md").write_text("\n".join([to_markdown(info, scores), *lines]))
         for section in sections(scores):
-            console.print(to_rich(section))
-        console.print(f"wrote {out / 'results.json'} and {out / 'results.md'}", highlight=False)
+            console.print(tall_table(section))
+        paths = f"{out / 'results.json'} and {out / 'results.md'}"
+        console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def tall_table(section: Section) -> Table:
+    """A section with its variants side by side, so that it fits a narrow terminal."""
+    names, *values = zip(section.columns, *section.rows, strict=True)
+    return to_rich(Section(section.title, names, tuple(values)))
 
 
 def sequence_folders(data: Path) -> list[Path]:

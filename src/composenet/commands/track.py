@@ -80,8 +80,8 @@ def run_track(
     name = weights.name if weights else "default"
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
     for line in run.warnings:
-        console.print(f"[yellow]warning[/] {line}", highlight=False)
-    console.print(summary(run, out), highlight=False)
+        console.print(f"[yellow]warning[/] {line}", highlight=False, soft_wrap=True)
+    console.print(summary(run, out), highlight=False, soft_wrap=True)
     return 0 if run.complete else INTERRUPTED_EXIT_CODE
 
 

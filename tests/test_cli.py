@@ -1,0 +1,316 @@
+"""The program: help, one-line errors, and the whole path from a scene to its score."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from composenet import cli
+from composenet.commands import evaluate
+from composenet.commands.score_cache import ScoreCache
+from composenet.errors import DataError
+from composenet.predictions import read_predictions
+from composenet.synth.dataset import read_truth
+
+COMMANDS = ("demo", "synth", "train", "track", "eval", "view")
+PROGRAM = [sys.executable, "-m", "composenet"]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch):
+    """Runs the program in this process; returns its exit code."""
+
+    def call(*arguments: object) -> int:
+        monkeypatch.setattr(sys, "argv", ["composenet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        return stop.value.code if isinstance(stop.value.code, int) else 0
+
+    return call
+
+
+def test_help_is_instant_and_does_not_import_torch() -> None:
+    code = (
+        "import sys, composenet.cli as c\n"
+        "sys.argv = ['composenet', '--help']\n"
+        "try: c.main()\n"
+        "except SystemExit as stop: code = stop.code\n"
+        "slow = {'torch', 'numba', 'trimesh', 'plotly', 'skimage'} & set(sys.modules)\n"
+        "assert not slow, slow\n"
+        "sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(run, capsys: pytest.CaptureFixture, command: str) -> None:
+    assert run(command, "--help") == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"usage: composenet {command}" in text
+    assert "--out" in text or command == "view"
+
+
+BAD_ARGUMENTS = [
+    (["track", "{tmp}/none", "--out", "{tmp}/out"], "no such folder"),
+    (["track", "{data}/val_00000"], "--out"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--stride", "-2"], "--stride"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--save-every", "0"], "--save-every"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--max-depth-m", "0"], "--max-depth-m"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--intrinsics", "1,2"], "--intrinsics"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--variant", "best"], "no-compl"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--weights", "{tmp}/bad"], "safetensors"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--weights", "{tmp}/no"], "no such"),
+    (
+        ["track", "{data}/val_00000", "--out", "{tmp}/out", "--weights", "{good}", "--device", "x"],
+        "--device",
+    ),
+    (["track", "{data}/val_00000", "--out", "{tmp}/bad/out", "--weights", "{good}"], "bad/out"),
+    (["synth", "--out", "{tmp}/bad/out"], "Not a directory"),
+    (["synth"], "--out"),
+    (["synth", "--stats", "--count", "-1"], "--count"),
+    (["synth", "--out", "{tmp}/s", "--cad", "{tmp}/none"], "none"),
+    (["train", "--out", "{tmp}/bad/out"], "Not a directory"),
+    (["train", "--out", "{tmp}/t", "--max-minutes", "0"], "--max-minutes"),
+    (["train", "--out", "{tmp}/t", "--config", "{tmp}/bad"], "bad"),
+    (["train", "--out", "{tmp}/t", "--device", "tpu"], "--device"),
+    (["eval", "--data", "{tmp}/none", "--out", "{tmp}/e"], "no such folder"),
+    (["eval", "--data", "{tmp}", "--out", "{tmp}/e"], "nothing to score"),
+    (["eval", "--data", "{data}", "--out", "{tmp}/e", "--variants", "full,best"], "best"),
+    (["eval", "--data", "{data}", "--out", "{tmp}/e", "--weights", "{tmp}/bad"], "safetensors"),
+    (["eval", "--data", "{data}", "--out", "{tmp}/e", "--workers", "0"], "--workers"),
+    (["view", "{tmp}"], "no report"),
+    (["fly"], "fly"),
+    ([], "demo, synth"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "names"), BAD_ARGUMENTS)
+def test_bad_input_is_one_line(
+    run,
+    capsys: pytest.CaptureFixture,
+    recordings: Path,
+    tiny_weights: Path,
+    tmp_path: Path,
+    arguments: list[str],
+    names: str,
+) -> None:
+    (tmp_path / "bad").write_text("this is nothing that a command can use")
+    given = [a.format(tmp=tmp_path, data=recordings, good=tiny_weights) for a in arguments]
+    assert run(*given) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("composenet: ") and errors.count("\n") == 1 and errors[-1] == "\n"
+    assert names in errors and "Traceback" not in errors
+
+
+def test_bad_input_of_the_installed_program(tmp_path: Path) -> None:
+    command = [*PROGRAM, "track", str(tmp_path / "none"), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def tracked(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of `track` for the first sequence."""
+    out = tmp_path_factory.mktemp("tracked")
+    with pytest.MonkeyPatch.context() as patch:
+        arguments = ["track", recordings / "val_00000", "--out", out / "val_00000"]
+        arguments += ["--weights", tiny_weights]
+        patch.setattr(sys, "argv", ["composenet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 0
+    return out
+
+
+def test_track_writes_what_it_found(tracked: Path, recordings: Path) -> None:
+    result = read_predictions(tracked / "val_00000")
+    assert result.complete and len(result.frames) == 6 and result.weights_id == "tiny.safetensors"
+    assert result.class_ids and set(result.canonical) == set(result.class_ids)
+    for frame in result.frames:
+        pose = np.loadtxt(recordings / "val_00000" / "pose" / f"{frame.name}.txt")
+        np.testing.assert_allclose(frame.T_world_camera, pose, atol=0.1)  # levelled, not moved
+    for name in ("report.html", "config.json", "timings.json", "tracks.txt"):
+        assert (tracked / "val_00000" / name).stat().st_size > 0
+
+
+def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Path) -> None:
+    data = recordings / "val_00000"
+    assert run("eval", "--data", data, "--out", tmp_path, "--predictions", tracked) == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["variants"]["predictions"]["sequences"] == 1
+    assert (tmp_path / "results.md").read_text().startswith("Data ")
+
+
+def test_perfect_predictions_score_perfectly(recordings: Path, tracked: Path) -> None:
+    """The truth itself, in the world of the tracker, has MOTA 1: frames and ids line up."""
+    from composenet.metrics.evaluate import evaluate_sequence
+    from composenet.records import Similarity, TrackedObject, TrackState
+
+    truth = read_truth(recordings / "val_00000")
+    shift = np.eye(4)
+    shift[:3, 3] = (3.0, -2.0, 0.5)
+    moved = evaluate.moved_truth(truth, shift)
+    classes = {item.gt_id: item for item in truth.objects}
+    frames = [
+        tuple(
+            TrackedObject(
+                o.gt_id, i, classes[o.gt_id].class_id, TrackState.TRACKED, 1.0, o.box,
+                Similarity(1.0, np.eye(3), o.box.center), classes[o.gt_id].extents_m, True,
+            )
+            for o in frame
+        )
+        for i, frame in enumerate(moved.frames)
+    ]  # fmt: skip
+    assert evaluate_sequence(moved, frames).clear.mota == 1
+    for frame, before in zip(moved.frames, truth.frames, strict=True):
+        for a, b in zip(frame, before, strict=True):
+            np.testing.assert_allclose(a.box.center - b.box.center, [3, -2, 0.5], atol=1e-4)
+            np.testing.assert_allclose(a.box.extents, b.box.extents, atol=1e-4)
+
+
+def numbers(out: Path) -> dict:
+    """results.json without what may differ from run to run."""
+    results = json.loads((out / "results.json").read_text())
+    for scores in results["variants"].values():
+        scores.pop("seconds_per_frame_median")
+    return results["variants"]
+
+
+class _Here:
+    """In place of worker processes."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def submit(self, work, *arguments):
+        from concurrent.futures import Future
+
+        future: Future = Future()
+        future.set_result(work(*arguments))
+        return future
+
+
+def kept(out: Path, name: str) -> dict:
+    """All scores of a finished sequence, but for its times."""
+    _, _, stored = (out / "sequences" / f"{name}.full.pkl").read_bytes().partition(b"\n")
+    return dataclasses.asdict(dataclasses.replace(pickle.loads(stored), seconds_per_frame=()))
+
+
+def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
+    run, recordings: Path, tiny_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    common = ["eval", "--data", recordings, "--weights", tiny_weights]
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert run(*common, "--out", two, "--workers", 2) == 0
+    monkeypatch.setattr(evaluate, "_pool", lambda _: _Here())
+    both = [*common, "--out", one, "--variants", "no-corr,full"]
+    assert run(*both) == 0
+    assert numbers(one)["full"] == numbers(two)["full"]
+    for name in ("val_00000", "val_00001"):
+        np.testing.assert_equal(kept(one, name), kept(two, name))
+
+    before = numbers(one)
+    (one / "sequences" / "val_00001.full.pkl").unlink()  # only this one is scored again
+    asked = []
+    real = evaluate.score_sequence
+
+    def noted(folder: Path, variant: str, **others: object):
+        asked.append((folder.name, variant))
+        return real(folder, variant, **others)
+
+    monkeypatch.setattr(evaluate, "score_sequence", noted)
+    assert run(*both) == 0
+    assert asked == [("val_00001", "full")] and numbers(one) == before
+
+
+def test_one_bad_sequence_does_not_stop_the_others(
+    run, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    data = tmp_path / "data"
+    shutil.copytree(recordings, data)
+    shutil.rmtree(data / "val_00000" / "depth")
+    monkeypatch.setattr(evaluate, "_pool", lambda _: _Here())
+    common = ["eval", "--data", data, "--out", tmp_path / "out"]
+    assert run(*common, "--weights", tiny_weights) == 1
+    errors = capsys.readouterr().err
+    assert "val_00000" in errors and errors.count("\n") == 1 and "Traceback" not in errors
+    assert numbers(tmp_path / "out")["full"]["sequences"] == 1
+    assert "not scored: val_00000" in (tmp_path / "out" / "results.md").read_text()
+    assert run(*common, "--predictions", tmp_path) == 1  # nobody tracked anything
+    assert capsys.readouterr().err.count("not scored") == 2
+
+
+def test_scores_are_kept_only_for_what_made_them(tmp_path: Path, recordings: Path) -> None:
+    weights, sequence = tmp_path / "w", tmp_path / "val_00000"
+    weights.write_bytes(b"weights")
+    sequence.mkdir()
+    (sequence / "annotations.json").write_text("{}")
+    folder = tmp_path / "kept"
+    ScoreCache(folder, weights, "cpu", False).save(sequence, "full", "scores")  # type: ignore[arg-type]
+    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") == "scores"
+    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "no-corr") is None
+    assert ScoreCache(folder, weights, "cpu", True).load(sequence, "full") is None
+    (sequence / "annotations.json").write_text("[]")
+    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+    (sequence / "annotations.json").write_text("{}")
+    weights.write_bytes(b"better")
+    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+    # A pickle of another origin is not even opened.
+    (folder / "val_00000.full.pkl").write_bytes(pickle.dumps(DataError("no")))
+    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+
+
+def test_ctrl_c_keeps_the_frames_that_are_done(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    """The signal comes while the third frame is tracked; it is finished, the rest is left."""
+    code = (
+        "import os, signal, sys\n"
+        "from composenet import cli, pipeline\n"
+        "track, seen = pipeline.ObjectTracker.__call__, []\n"
+        "def call(self, frame):\n"
+        "    seen.append(frame)\n"
+        "    if len(seen) == 3: os.killpg(0, signal.SIGINT)\n"
+        "    return track(self, frame)\n"
+        "pipeline.ObjectTracker.__call__ = call\n"
+        "cli.main()"
+    )
+    arguments = ["track", recordings / "val_00000", "--out", tmp_path, "--weights", tiny_weights]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        env={**os.environ},
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "" and "interrupted" in done.stdout
+    result = read_predictions(tmp_path)
+    assert not result.complete and len(result.frames) == 3
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_ctrl_c_before_anything_began(run, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("composenet.commands.demo.run_demo", interrupted)
+    assert run("demo") == 130
+    assert capsys.readouterr().err == "composenet: interrupted\n"
