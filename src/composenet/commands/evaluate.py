@@ -175,13 +175,17 @@ def _score_all(
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Worker processes that die of ctrl-C without a word; then nothing more is begun."""
-    quiet = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=quiet) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_die_of_ctrl_c) as pool:
         try:
             yield pool
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _die_of_ctrl_c() -> None:
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _guarded(work: Callable[..., SequenceScores], *arguments: object) -> Outcome:

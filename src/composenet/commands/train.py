@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from rich.console import Console
@@ -40,7 +41,7 @@ def run_train(
     )
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
     weights = train(chosen, options, source)
-    Console().print(
-        f"wrote {weights}; try it: composenet demo --weights {weights}", highlight=False
-    )
+    if os.environ.get("RANK", "0") == "0":
+        line = f"wrote {weights}; try it: composenet demo --weights {weights}"
+        Console().print(line, highlight=False, soft_wrap=True)
     return 0

@@ -52,6 +52,7 @@ class StepLog:
                 f"{frames_a_second:.1f} frames/s  waiting {waiting:.0f}%  "
                 f"up to {left:.0f} min left",
                 highlight=False,
+                soft_wrap=True,
             )
 
     def validation(self, progress: Progress, values: dict[str, float]) -> None:
@@ -59,7 +60,9 @@ class StepLog:
         if self.file is None or not values:
             return
         line = "  ".join(f"{name} {value:.3g}" for name, value in values.items())
-        self.console.print(f"validation at step {progress.step}: {line}", highlight=False)
+        self.console.print(
+            f"validation at step {progress.step}: {line}", highlight=False, soft_wrap=True
+        )
         self.file.write(f"validation step={progress.step} {line}\n")
         self.file.flush()
         for name, value in values.items():
