@@ -125,10 +125,11 @@ def _up(c_in: int, c_out: int) -> nn.Sequential:
 class ObjectNet(nn.Module):
     """Encoder-decoder over the fused crop, then the heads."""
 
-    def __init__(self, c_features: int, channels: tuple[int, ...], n_classes: int) -> None:
+    def __init__(
+        self, c_features: int, channels: tuple[int, ...], n_classes: int, cells: int
+    ) -> None:
         super().__init__()
         c1, c2, c3 = channels
-        self.n_classes = n_classes
         self.embed_features = nn.Linear(c_features, c1)
         self.embed_tsdf = nn.Conv3d(2, c1, 2, stride=2)
         self.embed_position = nn.Conv3d(4, c1, 1)
@@ -142,7 +143,13 @@ class ObjectNet(nn.Module):
         self.completion = nn.Sequential(_conv(c1, c1), fill)
         self.correspondence = nn.Sequential(_conv(c1 + 4, c1), nn.Conv3d(c1, 3, 1))
         self.classify = nn.Sequential(
-            nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1 + HEADING_BINS)
+            nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1)
+        )
+        self.heading = nn.Sequential(  # where things are tells the heading: no pooling
+            nn.Flatten(),
+            nn.Linear(c3 * (cells // 8) ** 3, c3),
+            nn.ReLU(),
+            nn.Linear(c3, HEADING_BINS),
         )
 
     def forward(
@@ -167,16 +174,14 @@ class ObjectNet(nn.Module):
         y2 = self.decode2(torch.cat([x2, self.up2(x3)], dim=1))
         y1 = self.decode1(torch.cat([x1, self.up1(y2)], dim=1))
         pooled = torch.cat([x3.mean(dim=(2, 3, 4)), x3.amax(dim=(2, 3, 4))], dim=1)
-        quality, headings, classes = self.classify(pooled).split(
-            [1, HEADING_BINS, self.n_classes], dim=1
-        )
+        summary, headings = self.classify(pooled), self.heading(x3)
         anchor = _anchor(position, crops, teacher(headings.detach()), margin)
         given = torch.cat([y1, anchor, position[:, 3:]], dim=1)
         return ObjectFields(
             occupancy=self.completion(y1)[:, 0],
             nocs=anchor + self.correspondence(given),
             surface=surface,
-            quality=quality[:, 0],
-            class_logits=classes,
+            quality=summary[:, 0],
+            class_logits=summary[:, 1:],
             heading_logits=headings,
         )
