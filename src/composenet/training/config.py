@@ -46,7 +46,7 @@ class TrainingConfig:
     """[paper]"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    joint_from_step: Annotated[int, Field(ge=0)] = 2500
+    joint_from_step: Annotated[int, Field(ge=0)] = 3200
     """until then the object network learns on jittered true boxes with the features held fixed,
     afterwards end to end and on the detector's own proposals too (the paper's two stages)"""
     max_boxes: Count = 7
