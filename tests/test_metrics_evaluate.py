@@ -284,7 +284,8 @@ def test_results_file(tmp_path):
     info = RunInfo(data="tiny", seed=3)
     write_results(tmp_path / "results.json", info, {"full": full, "no-corr": only_tracks})
     data = json.loads((tmp_path / "results.json").read_text())
-    assert list(data) == ["data", "commit", "seed", "hardware", "variants"]
+    origin = ["data", "commit", "seed", "hardware", "date", "command", "weights"]
+    assert list(data) == [*origin, "variants"]
     assert (data["data"], data["seed"]) == ("tiny", 3)
     assert data["commit"] and "cores" in data["hardware"]
     assert [list(variant) for variant in data["variants"].values()] == [KEYS, KEYS]

@@ -117,7 +117,7 @@ def proposals_of(volume: Volume, *blocks: Block, shift_m: float = 0.0) -> Propos
 def estimated(
     volume: Volume, oracle: Oracle, proposals: Proposals, config: Config = CONFIG
 ) -> tuple[ObjectEstimate, ...]:
-    fields = VoxelFields(*[torch.zeros(1, 1)] * 5)
+    fields = VoxelFields(*[torch.zeros(1, 1)] * 6)
     return estimate_objects(oracle, fields, collate([volume]), volume, proposals, config)  # type: ignore[arg-type]
 
 

@@ -14,8 +14,8 @@ from composenet.geometry.box import pairwise_iou
 from composenet.geometry.symmetry import ORDER, turns
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.network.batch import CropBatch
-from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import HEADING_BINS, ObjectFields, likeliest_heading
+from composenet.network.detection_head import HEADING_BINS, VoxelFields
+from composenet.network.object_net import ObjectFields, likeliest_heading
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.losses import (
     detection_losses,
@@ -220,12 +220,14 @@ def test_perfect_voxels_cost_nothing_and_frames_without_objects_are_fine() -> No
     batch = one_object()
     on = batch.voxel_object >= 0
     coords = batch.volume.coords[:, 1:].float()
+    bins = heading_bins(valid_headings(batch, torch.zeros(1, dtype=torch.long))[0][:, 0])
     fields = VoxelFields(
         features=torch.zeros(80, 1),
         objectness=torch.where(on, 20.0, -20.0).requires_grad_(True),
         center_offset=batch.center / SIZE_M - coords,
         extents=(batch.extents / SIZE_M).expand(80, 3),
         class_logits=40.0 * torch.nn.functional.one_hot(batch.class_id, 10).expand(80, 10),
+        heading_logits=40.0 * torch.nn.functional.one_hot(bins, HEADING_BINS).expand(80, -1),
     )
     for name, value in detection_losses(fields, batch).items():
         assert value.item() < 1e-5, name

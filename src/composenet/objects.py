@@ -75,7 +75,7 @@ def _complete(
     frame = torch.zeros(len(center), dtype=torch.long, device=center.device)
     size = proposals.extents.clamp(*CROP_LIMITS_M) * config.network.crop_margin
     crops = CropBatch(frame, center, size)
-    objects = network.object_fields(fields.features, batch, crops)
+    objects = network.object_fields(fields, batch, crops)
     joint = proposals.class_probabilities * objects.class_logits.softmax(dim=1)
     probabilities = joint / joint.sum(dim=1, keepdim=True).clamp_min(1e-12)
     score = (proposals.score * objects.quality.sigmoid()).sqrt() * probabilities.amax(dim=1)

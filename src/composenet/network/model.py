@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch import Tensor, nn
+from torch import nn
 
 from composenet.config import NetworkConfig, VolumeConfig
 from composenet.network.backbone import Backbone
@@ -33,17 +33,17 @@ class ComposeNet(nn.Module):
 
     def object_fields(
         self,
-        features: Tensor,
+        fields: VoxelFields,
         batch: VolumeBatch,
         crops: CropBatch,
         teacher: Teacher = likeliest_heading,
     ) -> ObjectFields:
         """Completion, correspondences, quality and class of every crop.
 
-        features: (N, F) of voxel_fields. teacher: which heading the correspondences build on.
+        fields: of voxel_fields. teacher: which heading the correspondences build on.
         """
         return self.objects(
-            features,
+            fields,
             batch,
             crops,
             self.config.crop_cells,

@@ -14,10 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
+from composenet.network.detection_head import HEADING_BINS, VoxelFields
 from composenet.volume.tsdf import projective_tsdf
-
-HEADING_BINS = 12
-"""Divisible by 2 and 4, so that symmetric turns map bins onto bins."""
 
 Teacher = Callable[[Tensor], Tensor]
 """(M, HEADING_BINS) logits -> (M,) heading in radians to build the correspondences on."""
@@ -41,25 +39,39 @@ class ObjectFields:
     heading_logits: Tensor
 
 
-def scatter_features(features: Tensor, batch: VolumeBatch, crops: CropBatch, cells: int) -> Tensor:
-    """Mean feature of the voxels in every crop cell, zero where there are none.
-
-    features: (N, F) -> (M, F, cells, cells, cells). Sparse-to-dense mapping of the paper.
-    """
-    centers = batch.coords[:, 1:].to(features.dtype) * batch.voxel_size_m
+def voxels_inside(batch: VolumeBatch, crops: CropBatch) -> tuple[Tensor, Tensor]:
+    """(M, N, 3) places of the voxels in every crop, 0..1 along its sides, and (M, N) bool which
+    voxels lie in it."""
+    centers = batch.coords[:, 1:].to(crops.center.dtype) * batch.voxel_size_m
     low = crops.center - crops.size / 2
     relative = (centers[None] - low[:, None]) / crops.size[:, None]
     inside = (relative >= 0).all(-1) & (relative < 1).all(-1)
-    inside &= batch.coords[None, :, 0] == crops.frame[:, None]
+    return relative, inside & (batch.coords[None, :, 0] == crops.frame[:, None])
+
+
+def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: int) -> Tensor:
+    """Mean feature of the voxels in every crop cell, zero where there are none.
+
+    features: (N, F) -> (M, F, cells, cells, cells). Sparse-to-dense mapping of the paper.
+    relative, inside: of voxels_inside.
+    """
     box, row = torch.nonzero(inside, as_tuple=True)
     cell = (relative[box, row] * cells).long().clamp_(0, cells - 1)
     slot = ((box * cells + cell[:, 0]) * cells + cell[:, 1]) * cells + cell[:, 2]
-    n_slots = len(crops.frame) * cells**3
+    n_slots = len(inside) * cells**3
     sums = features.new_zeros(n_slots, features.shape[1]).index_add(0, slot, features[row])
     ones = features.new_ones(len(slot), 1)
     count = features.new_zeros(n_slots, 1).index_add(0, slot, ones)
     mean = sums / count.clamp_min(1)
     return mean.view(-1, cells, cells, cells, features.shape[1]).permute(0, 4, 1, 2, 3)
+
+
+def voted_headings(fields: VoxelFields, inside: Tensor) -> Tensor:
+    """(M, HEADING_BINS) log of the mean heading probability of a crop's object voxels."""
+    weight = inside * fields.objectness.sigmoid()
+    total = weight.sum(dim=1, keepdim=True)
+    votes = weight @ fields.heading_logits.softmax(dim=1)
+    return ((votes + 1e-3) / (total + 1e-3 * HEADING_BINS)).log()
 
 
 def crop_inputs(
@@ -154,7 +166,7 @@ class ObjectNet(nn.Module):
 
     def forward(
         self,
-        features: Tensor,
+        fields: VoxelFields,
         batch: VolumeBatch,
         crops: CropBatch,
         cells: int,
@@ -166,7 +178,9 @@ class ObjectNet(nn.Module):
         the heading: front and back are a choice between bins, not a mean of both."""
         samples, surface = crop_inputs(batch, crops, cells, truncation_m)
         position = _position_channels(batch, crops, cells // 2)
-        sparse = scatter_features(self.embed_features(features), batch, crops, cells // 2)
+        relative, inside = voxels_inside(batch, crops)
+        embedded = self.embed_features(fields.features)
+        sparse = scatter_features(embedded, relative, inside, cells // 2)
         x = sparse + self.embed_tsdf(samples) + self.embed_position(position)
         x1 = self.encode1(torch.relu(x))
         x2 = self.encode2(x1)
@@ -174,7 +188,8 @@ class ObjectNet(nn.Module):
         y2 = self.decode2(torch.cat([x2, self.up2(x3)], dim=1))
         y1 = self.decode1(torch.cat([x1, self.up1(y2)], dim=1))
         pooled = torch.cat([x3.mean(dim=(2, 3, 4)), x3.amax(dim=(2, 3, 4))], dim=1)
-        summary, headings = self.classify(pooled), self.heading(x3)
+        summary = self.classify(pooled)
+        headings = self.heading(x3) + voted_headings(fields, inside)
         anchor = _anchor(position, crops, teacher(headings.detach()), margin)
         given = torch.cat([y1, anchor, position[:, 3:]], dim=1)
         return ObjectFields(

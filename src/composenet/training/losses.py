@@ -10,9 +10,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
-from composenet.network.detection_head import VoxelFields
+from composenet.network.detection_head import HEADING_BINS, VoxelFields
 from composenet.network.object_net import (
-    HEADING_BINS,
     ObjectFields,
     Teacher,
     likeliest_heading,
@@ -42,7 +41,9 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     zero = fields.objectness.sum() * 0
     if not on_object.any():
         touched = fields.center_offset.sum() + fields.extents.sum() + fields.class_logits.sum()
-        return losses | {"center": zero + 0 * touched, "extent": zero, "class": zero}
+        touched = touched + fields.heading_logits.sum()
+        none = {"extent": zero, "class": zero, "voxel_heading": zero}
+        return losses | {"center": zero + 0 * touched} | none
     rows = batch.voxel_object[on_object]
     weight = torch.bincount(rows, minlength=len(batch.frame)).to(zero.dtype).rsqrt()[rows]
     weight = weight / weight.sum()
@@ -60,6 +61,7 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
         "center": (weight * center.sum(dim=1)).sum(),
         "extent": (weight * extent.sum(dim=1)).sum(),
         "class": (weight * classes).sum(),
+        "voxel_heading": _heading_loss(fields.heading_logits[on_object], batch, rows, weight),
     }
 
 
@@ -89,7 +91,8 @@ def object_losses(
     losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     target = occupancy_in_crops(batch, crops, rows, cells)
     logits = fields.occupancy[keep]
-    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows)
+    even = torch.ones_like(boxes.iou[keep])
+    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows, even)
     losses["completion"] = F.binary_cross_entropy_with_logits(logits, target)
     solid = F.avg_pool3d(target[:, None], 2)[:, 0].flatten(1) > 0.1
     solid[:, 0] |= ~solid.any(dim=1)
@@ -147,13 +150,16 @@ def heading_bins(yaw: Tensor) -> Tensor:
     return (yaw * (HEADING_BINS / (2 * np.pi))).round().long() % HEADING_BINS
 
 
-def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
-    """Cross-entropy where any valid bin is right; objects round about z are left out."""
+def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor, weight: Tensor) -> Tensor:
+    """Weighted cross-entropy where any valid bin is right; objects round about z are left out.
+
+    logits: (M, HEADING_BINS), of objects rows (M,). weight: (M,).
+    """
     yaws, valid = valid_headings(batch, rows)
     log_p = logits.log_softmax(dim=1).gather(1, heading_bins(yaws))
     log_p = torch.where(valid, log_p, torch.full_like(log_p, -torch.inf))
-    directed = (batch.symmetry_order[rows] <= 4).to(logits.dtype)
-    return -(directed * log_p.logsumexp(dim=1)).sum() / directed.sum().clamp_min(1)
+    weight = weight * (batch.symmetry_order[rows] <= 4)
+    return -(weight * log_p.logsumexp(dim=1)).sum() / weight.sum().clamp_min(1e-9)
 
 
 def heading_teacher(

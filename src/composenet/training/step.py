@@ -42,9 +42,9 @@ class LossModule(nn.Module):
             proposals = propose(fields, batch.volume, self.config.model.detection)
         margin = self.config.model.network.crop_margin
         boxes = training_crops(batch, proposals, margin, self.config.max_boxes, generator)
-        features = fields.features if joint else fields.features.detach()
+        given = fields if joint else fields.detach()
         teacher = heading_teacher(batch, boxes, generator)
-        objects = self.network.object_fields(features, batch.volume, boxes.crops, teacher)
+        objects = self.network.object_fields(given, batch.volume, boxes.crops, teacher)
         more, errors = object_losses(objects, batch, boxes)
         if not joint:  # correspondences must make sense before a pose is fitted to them
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}

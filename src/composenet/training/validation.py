@@ -36,7 +36,7 @@ def validate(
         boxes = training_crops(
             batch, (), config.model.network.crop_margin, config.max_boxes, generator
         )
-        objects = network.object_fields(fields.features, batch.volume, boxes.crops)
+        objects = network.object_fields(fields, batch.volume, boxes.crops)
         losses, errors = object_losses(objects, batch, boxes)
         for name, value in (detection_losses(fields, batch) | losses).items():
             sums[name].append(float(value))
