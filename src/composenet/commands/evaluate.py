@@ -65,6 +65,8 @@ def run_eval(
     """The command. Finished sequences are kept in `out`, so that a run can be resumed. A sequence
     that cannot be scored is named at the end and makes the exit code 1."""
     console = Console()
+    from composenet.network.weights import default_weights, weights_id
+
     folders = sequence_folders(data)
     unknown = sorted(set(variants) - set(VARIANTS))
     if unknown:
@@ -73,7 +75,6 @@ def run_eval(
     if predictions is not None:
         outcomes = {("predictions", f): _guarded(score_folder, f, predictions) for f in folders}
     else:
-        from composenet.network.weights import default_weights
         from composenet.pipeline import load_tracker
 
         weights = weights or default_weights()
@@ -84,7 +85,9 @@ def run_eval(
         outcomes = _score_all(jobs, work, cache, workers, console)
     failed = {job: outcome for job, outcome in outcomes.items() if isinstance(outcome, str)}
     scores = _aggregated(outcomes)
-    info = RunInfo(data=data.resolve().name, seed=seed)
+    made_with = weights_id(weights) if weights else ""
+    command = " ".join(["composenet", *sys.argv[1:]])
+    info = RunInfo(data.resolve().name, seed, command, made_with)
     lines = [
         f"not scored: {folder.name} ({name}): {failed[name, folder]}" for name, folder in failed
     ]

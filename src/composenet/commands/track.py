@@ -74,10 +74,11 @@ def run_track(
     """The command. Returns the exit code."""
     console = Console()
     sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
+    from composenet.network.weights import default_weights, weights_id
     from composenet.pipeline import load_tracker
 
     tracker = load_tracker(weights, device=device, **variant)
-    name = weights.name if weights else "default"
+    name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
     for line in run.warnings:
         console.print(f"[yellow]warning[/] {line}", highlight=False, soft_wrap=True)

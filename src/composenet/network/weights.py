@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from importlib import resources
 from pathlib import Path
@@ -41,6 +42,11 @@ def save_weights(
 def default_weights() -> Path:
     """The weights shipped in the package."""
     return Path(str(resources.files("composenet") / "weights" / DEFAULT_NAME))
+
+
+def weights_id(path: Path) -> str:
+    """Name and fingerprint of a weights file, for results made with it."""
+    return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()[:12]}"
 
 
 def load_weights(
