@@ -107,7 +107,6 @@ def field_of(things: Sequence[Thing], frames: int = 1) -> tuple[VoxelFields, Vol
         center_offset=torch.cat(centers) - coords[:, 1:],
         extents=torch.cat(extents),
         class_logits=torch.cat(logits),
-        heading_logits=torch.zeros(len(torch.cat(logits)), 12),
     )
     eye = torch.eye(4).expand(frames, 4, 4)
     depth = torch.zeros(frames, 4, 4)

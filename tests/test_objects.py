@@ -91,6 +91,7 @@ class Oracle:
             nocs = nocs * torch.tensor([0.0, 0.0, 1.0])
         half = (m, 3, CELLS // 2, CELLS // 2, CELLS // 2)
         return ObjectFields(
+            crops=crops,
             occupancy=torch.where(inside, 8.0, -8.0).view(m, CELLS, CELLS, CELLS),
             nocs=nocs.transpose(1, 2).reshape(half),
             surface=surface.view(m, CELLS, CELLS, CELLS),
@@ -117,7 +118,7 @@ def proposals_of(volume: Volume, *blocks: Block, shift_m: float = 0.0) -> Propos
 def estimated(
     volume: Volume, oracle: Oracle, proposals: Proposals, config: Config = CONFIG
 ) -> tuple[ObjectEstimate, ...]:
-    fields = VoxelFields(*[torch.zeros(1, 1)] * 6)
+    fields = VoxelFields(*[torch.zeros(1, 1)] * 5)
     return estimate_objects(oracle, fields, collate([volume]), volume, proposals, config)  # type: ignore[arg-type]
 
 

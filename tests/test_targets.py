@@ -14,8 +14,8 @@ from composenet.geometry.box import pairwise_iou
 from composenet.geometry.symmetry import ORDER, turns
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.network.batch import CropBatch
-from composenet.network.detection_head import HEADING_BINS, VoxelFields
-from composenet.network.object_net import ObjectFields, likeliest_heading
+from composenet.network.detection_head import VoxelFields
+from composenet.network.object_net import HEADING_BINS, ObjectFields, likeliest_heading
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.losses import (
     detection_losses,
@@ -75,7 +75,8 @@ def one_object(symmetry: Symmetry = Symmetry.NONE, yaw: float = 0.4) -> Training
 
 
 def crops_of(batch: TrainingBatch, grow: float = 1.25) -> TrainingCrops:
-    crops = CropBatch(batch.frame, batch.center, batch.extents * grow)
+    still = torch.zeros(len(batch.frame))
+    crops = CropBatch(batch.frame, batch.center, batch.extents * grow, still)
     ones = torch.ones(len(batch.frame))
     return TrainingCrops(crops, torch.arange(len(batch.frame)), ones, ones.bool())
 
@@ -90,6 +91,7 @@ def true_fields(batch: TrainingBatch, boxes: TrainingCrops, turn: np.ndarray) ->
     side = CELLS // 2
     bins = heading_bins(torch.atan2(R[:, 1, 0], R[:, 0, 0]))
     return ObjectFields(
+        crops=boxes.crops,
         occupancy=torch.where(target > 0.5, 20.0, -20.0),
         nocs=nocs.transpose(1, 2).reshape(m, 3, side, side, side).requires_grad_(True),
         surface=torch.zeros(m, CELLS, CELLS, CELLS, dtype=torch.bool),
@@ -220,14 +222,12 @@ def test_perfect_voxels_cost_nothing_and_frames_without_objects_are_fine() -> No
     batch = one_object()
     on = batch.voxel_object >= 0
     coords = batch.volume.coords[:, 1:].float()
-    bins = heading_bins(valid_headings(batch, torch.zeros(1, dtype=torch.long))[0][:, 0])
     fields = VoxelFields(
         features=torch.zeros(80, 1),
         objectness=torch.where(on, 20.0, -20.0).requires_grad_(True),
         center_offset=batch.center / SIZE_M - coords,
         extents=(batch.extents / SIZE_M).expand(80, 3),
         class_logits=40.0 * torch.nn.functional.one_hot(batch.class_id, 10).expand(80, 10),
-        heading_logits=40.0 * torch.nn.functional.one_hot(bins, HEADING_BINS).expand(80, -1),
     )
     for name, value in detection_losses(fields, batch).items():
         assert value.item() < 1e-5, name

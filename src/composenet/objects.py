@@ -73,9 +73,10 @@ def _complete(
 ) -> _Completed:
     center = proposals.center
     frame = torch.zeros(len(center), dtype=torch.long, device=center.device)
-    size = proposals.extents.clamp(*CROP_LIMITS_M) * config.network.crop_margin
-    crops = CropBatch(frame, center, size)
-    objects = network.object_fields(fields, batch, crops)
+    extents = proposals.extents.clamp(*CROP_LIMITS_M)
+    boxes = CropBatch.around(frame, center, extents, config.network.crop_margin)
+    objects = network.object_fields(fields, batch, boxes)
+    crops = objects.crops
     joint = proposals.class_probabilities * objects.class_logits.softmax(dim=1)
     probabilities = joint / joint.sum(dim=1, keepdim=True).clamp_min(1e-12)
     score = (proposals.score * objects.quality.sigmoid()).sqrt() * probabilities.amax(dim=1)
@@ -103,12 +104,10 @@ def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
 def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit) -> Tensor:
     """(M, 64, 64, 64) occupancy resampled in canonical space through the fitted similarity."""
     n = CANONICAL_CELLS
-    cells = CropBatch(
-        crops.frame[:1], torch.zeros_like(crops.center[:1]), torch.ones_like(crops.size[:1])
-    ).points(n)
-    world = fit.scale[:, None, None] * (cells @ fit.R.transpose(1, 2)) + fit.t[:, None]
-    unit = 2 * (world - crops.center[:, None]) / crops.size[:, None]
-    grid = unit.flip(-1).view(-1, n, n, n, 3)
+    steps = (torch.arange(n, device=shown.device) + 0.5) / n - 0.5
+    cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(1, -1, 3)
+    points = fit.scale[:, None, None] * (cells @ fit.R.transpose(1, 2)) + fit.t[:, None]
+    grid = (2 * crops.shares(points) - 1).flip(-1).view(-1, n, n, n, 3)
     return F.grid_sample(shown[:, None], grid, padding_mode="zeros", align_corners=False)[:, 0]
 
 
@@ -116,11 +115,13 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     """Proposal i in the world."""
     R_world_grid, low = volume.T_world_grid[:3, :3], volume.T_world_grid[:3, 3]
     cells = config.network.crop_cells
-    cell_m = _numpy(found.crops.size[i]) / cells
+    crop = found.crops[i : i + 1]
+    cell_m = _numpy(crop.size[0]) / cells
     filled = found.shown[i].flatten() >= 0.5
-    points_grid = _numpy(found.crops.points_of(i, cells)[filled])
+    points_grid = _numpy(crop.points(cells)[0, filled])
     if config.tracking.use_completion:
-        first, last = points_grid.min(axis=0) - cell_m / 2, points_grid.max(axis=0) + cell_m / 2
+        reach = np.abs(_numpy(crop.R_grid_crop[0])) @ cell_m / 2
+        first, last = points_grid.min(axis=0) - reach, points_grid.max(axis=0) + reach
         center, extents = (first + last) / 2, last - first
     else:
         center, extents = _numpy(found.proposals.center[i]), _numpy(found.proposals.extents[i])

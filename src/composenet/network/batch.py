@@ -46,23 +46,49 @@ class VolumeBatch:
 
 @dataclass(frozen=True)
 class CropBatch:
-    """M boxes to look into. frame: (M,) int64. center, size: (M, 3) metres, grid frame; size
-    already includes the margin."""
+    """M boxes to look into, grid frame. frame: (M,) int64. center, size: (M, 3) metres; size
+    already includes the margin. yaw: (M,) radians by which the box is turned about z."""
 
     frame: Tensor
     center: Tensor
     size: Tensor
+    yaw: Tensor
 
-    def points(self, cells: int) -> Tensor:
-        """(M, cells^3, 3) cell centres, grid frame, x slowest."""
+    @staticmethod
+    def around(frame: Tensor, center: Tensor, extents: Tensor, margin: float) -> CropBatch:
+        """Boxes around axis-aligned ones, square from above so that they can be turned."""
+        side = extents[:, :2].amax(dim=1, keepdim=True)
+        size = margin * torch.cat([side, side, extents[:, 2:]], dim=1)
+        return CropBatch(frame, center, size, torch.zeros_like(center[:, 0]))
+
+    def turned(self, yaw: Tensor) -> CropBatch:
+        """The same boxes at other yaws, (M,) radians."""
+        return CropBatch(self.frame, self.center, self.size, yaw)
+
+    def __getitem__(self, rows: Tensor | slice) -> CropBatch:
+        """Some of the boxes."""
+        return CropBatch(self.frame[rows], self.center[rows], self.size[rows], self.yaw[rows])
+
+    @property
+    def R_grid_crop(self) -> Tensor:
+        """(M, 3, 3) rotations by the yaws."""
+        c, s = self.yaw.cos(), self.yaw.sin()
+        o, i = torch.zeros_like(c), torch.ones_like(c)
+        return torch.stack([c, -s, o, s, c, o, o, o, i], dim=1).view(-1, 3, 3)
+
+    def local_points(self, cells: int) -> Tensor:
+        """(M, cells^3, 3) cell centres in the box's own axes, from its centre, x slowest."""
         steps = (torch.arange(cells, device=self.center.device) + 0.5) / cells - 0.5
         unit = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(-1, 3)
-        return self.center[:, None] + unit * self.size[:, None]
+        return unit * self.size[:, None]
 
-    def points_of(self, i: int, cells: int) -> Tensor:
-        """(cells^3, 3) cell centres of one box."""
-        one = slice(i, i + 1)
-        return CropBatch(self.frame[one], self.center[one], self.size[one]).points(cells)[0]
+    def points(self, cells: int) -> Tensor:
+        """(M, cells^3, 3) cell centres, grid frame."""
+        return self.local_points(cells) @ self.R_grid_crop.transpose(1, 2) + self.center[:, None]
+
+    def shares(self, points: Tensor) -> Tensor:
+        """(M, P, 3) grid points -> (M, P, 3) places in the box, 0..1 along its own axes."""
+        return (points - self.center[:, None]) @ self.R_grid_crop / self.size[:, None] + 0.5
 
 
 def collate(volumes: Sequence[Volume]) -> VolumeBatch:

@@ -1,4 +1,4 @@
-"""Per-voxel objectness, centre offset, extent, class (paper section 4.1), and heading."""
+"""Per-voxel objectness, centre offset, extent, class (paper section 4.1)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,10 @@ VOXELS_PER_UNIT = 10.0
 TYPICAL_EXTENT_VOXELS = 20.0
 
 
-HEADING_BINS = 12
-"""Yaw of an object's front in the grid frame; bin k is centred at k * 30 degrees. Divisible by 2
-and 4, so that symmetric turns map bins onto bins."""
-
-
 @dataclass(frozen=True)
 class VoxelFields:
     """Predictions of N voxels. features: (N, F). objectness: (N,) logits. center_offset: (N, 3)
     voxels, from the voxel's centre. extents: (N, 3) voxels, full. class_logits: (N, n_classes).
-    heading_logits: (N, HEADING_BINS).
     """
 
     features: Tensor
@@ -30,7 +24,6 @@ class VoxelFields:
     center_offset: Tensor
     extents: Tensor
     class_logits: Tensor
-    heading_logits: Tensor
 
     def detach(self) -> VoxelFields:
         """The same numbers without gradient."""
@@ -48,7 +41,6 @@ class DetectionHead(nn.Module):
 
         self.objectness, self.offset = head(1), head(3)
         self.extent, self.classes = head(3), head(n_classes)
-        self.heading = head(HEADING_BINS)
         nn.init.constant_(
             cast(nn.Linear, self.objectness[2]).bias, -1.0
         )  # most surfaces are walls and floor
@@ -61,5 +53,4 @@ class DetectionHead(nn.Module):
             center_offset=VOXELS_PER_UNIT * self.offset(features),
             extents=torch.clamp(extents, min=1.0),
             class_logits=self.classes(features),
-            heading_logits=self.heading(features),
         )

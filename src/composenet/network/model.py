@@ -22,9 +22,7 @@ class ComposeNet(nn.Module):
         self.config, self.volume_config = network, volume
         self.backbone = Backbone(len(FEATURE_NAMES), network.backbone_channels)
         self.detection = DetectionHead(self.backbone.c_out, len(CLASS_NAMES))
-        self.objects = ObjectNet(
-            self.backbone.c_out, network.object_channels, len(CLASS_NAMES), network.crop_cells
-        )
+        self.objects = ObjectNet(self.backbone.c_out, network.object_channels, len(CLASS_NAMES))
 
     def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
         """Backbone and detection heads on every surface voxel."""

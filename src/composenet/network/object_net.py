@@ -14,8 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
-from composenet.network.detection_head import HEADING_BINS, VoxelFields
+from composenet.network.detection_head import VoxelFields
 from composenet.volume.tsdf import projective_tsdf
+
+HEADING_BINS = 12
+"""Yaw of an object's front in the grid frame; bin k is centred at k * 30 degrees. Divisible by 2
+and 4, so that symmetric turns map bins onto bins."""
 
 Teacher = Callable[[Tensor], Tensor]
 """(M, HEADING_BINS) logits -> (M,) heading in radians to build the correspondences on."""
@@ -25,12 +29,13 @@ Teacher = Callable[[Tensor], Tensor]
 class ObjectFields:
     """Predictions of M crops of C cells a side.
 
-    occupancy: (M, C, C, C) logits. nocs: (M, 3, C/2, C/2, C/2) canonical coordinates. surface:
-    (M, C, C, C) bool, cells on the observed surface. quality: (M,) logits of how well the crop
-    holds an object. class_logits: (M, n_classes). heading_logits: (M, HEADING_BINS) of the yaw of
-    the object's front in the grid frame; bin k is centred at k * 360 / HEADING_BINS degrees.
+    crops: the boxes, turned by the heading that was taken. occupancy: (M, C, C, C) logits. nocs:
+    (M, 3, C/2, C/2, C/2) canonical coordinates. surface: (M, C, C, C) bool, cells on the observed
+    surface. quality: (M,) logits of how well the crop holds an object. class_logits: (M,
+    n_classes). heading_logits: (M, HEADING_BINS) of the yaw of the object's front in the grid.
     """
 
+    crops: CropBatch
     occupancy: Tensor
     nocs: Tensor
     surface: Tensor
@@ -43,10 +48,9 @@ def voxels_inside(batch: VolumeBatch, crops: CropBatch) -> tuple[Tensor, Tensor]
     """(M, N, 3) places of the voxels in every crop, 0..1 along its sides, and (M, N) bool which
     voxels lie in it."""
     centers = batch.coords[:, 1:].to(crops.center.dtype) * batch.voxel_size_m
-    low = crops.center - crops.size / 2
-    relative = (centers[None] - low[:, None]) / crops.size[:, None]
-    inside = (relative >= 0).all(-1) & (relative < 1).all(-1)
-    return relative, inside & (batch.coords[None, :, 0] == crops.frame[:, None])
+    shares = crops.shares(centers.expand(len(crops.frame), -1, -1))
+    inside = (shares >= 0).all(-1) & (shares < 1).all(-1)
+    return shares, inside & (batch.coords[None, :, 0] == crops.frame[:, None])
 
 
 def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: int) -> Tensor:
@@ -66,12 +70,11 @@ def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: 
     return mean.view(-1, cells, cells, cells, features.shape[1]).permute(0, 4, 1, 2, 3)
 
 
-def voted_headings(fields: VoxelFields, inside: Tensor) -> Tensor:
-    """(M, HEADING_BINS) log of the mean heading probability of a crop's object voxels."""
+def voted_classes(fields: VoxelFields, inside: Tensor) -> Tensor:
+    """(M, n_classes) mean class probability of the object voxels in every crop."""
     weight = inside * fields.objectness.sigmoid()
-    total = weight.sum(dim=1, keepdim=True)
-    votes = weight @ fields.heading_logits.softmax(dim=1)
-    return ((votes + 1e-3) / (total + 1e-3 * HEADING_BINS)).log()
+    votes = weight @ fields.class_logits.softmax(dim=1)
+    return votes / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
 
 
 def crop_inputs(
@@ -94,26 +97,17 @@ def crop_inputs(
 
 
 def _position_channels(batch: VolumeBatch, crops: CropBatch, cells: int) -> Tensor:
-    """(M, 4, ...) metric position of the cells: from the crop's centre, and above the floor."""
-    points = crops.points(cells)
-    local = points - crops.center[:, None]
-    height = points[..., 2:] - batch.floor_z[crops.frame][:, None, None]
+    """(M, 4, ...) metric position of the cells: from the crop's centre in its own axes, and
+    above the floor."""
+    local = crops.local_points(cells)
+    above = crops.center[:, 2] - batch.floor_z[crops.frame]
+    height = local[..., 2:] + above[:, None, None]
     return torch.cat([local, height], -1).transpose(1, 2).reshape(-1, 4, cells, cells, cells)
 
 
 def likeliest_heading(logits: Tensor) -> Tensor:
     """(M,) radians: the centre of the strongest bin."""
     return logits.argmax(dim=1).to(logits.dtype) * (2 * math.pi / HEADING_BINS)
-
-
-def _anchor(position: Tensor, crops: CropBatch, heading: Tensor, margin: float) -> Tensor:
-    """(M, 3, ...) canonical coordinates the cells would have, were the object centred in the
-    crop, turned by its heading and as large as the crop without its margin."""
-    diagonal = crops.size.norm(dim=1) / margin
-    x, y, z = position[:, 0], position[:, 1], position[:, 2]
-    shape = (-1, 1, 1, 1)
-    c, s, d = heading.cos().view(shape), heading.sin().view(shape), diagonal.view(shape)
-    return torch.stack([(c * x + s * y) / d, (c * y - s * x) / d, z / d], dim=1)
 
 
 def _conv(c_in: int, c_out: int) -> nn.Sequential:
@@ -134,12 +128,48 @@ def _up(c_in: int, c_out: int) -> nn.Sequential:
     )
 
 
+class HeadingNet(nn.Module):
+    """Scores how well the object in a crop faces the crop's +x. Applied to the crop turned to
+    every bin with the same weights, so that a turn of the object shifts the scores: what is
+    learned from one heading holds for all."""
+
+    CELLS = 16
+
+    def __init__(self, n_classes: int) -> None:
+        super().__init__()
+        self.encode = nn.Sequential(
+            nn.Conv3d(2, 16, 3, stride=2, padding=1, bias=False),
+            nn.BatchNorm3d(16),
+            nn.ReLU(),
+            nn.Conv3d(16, 32, 3, stride=2, padding=1, bias=False),
+            nn.BatchNorm3d(32),
+            nn.ReLU(),
+            _conv(32, 32),
+            nn.Flatten(),
+            nn.Linear(32 * (self.CELLS // 4) ** 3, 64),
+        )
+        self.score = nn.Sequential(
+            nn.ReLU(), nn.Linear(64 + n_classes + 3, 64), nn.ReLU(), nn.Linear(64, 1)
+        )
+
+    def forward(
+        self, batch: VolumeBatch, crops: CropBatch, classes: Tensor, truncation_m: float
+    ) -> Tensor:
+        """(M, HEADING_BINS) logits. classes: (M, n_classes) probabilities."""
+        m = len(crops.frame)
+        every = torch.arange(m, device=classes.device).repeat_interleave(HEADING_BINS)
+        yaw = torch.arange(HEADING_BINS, device=classes.device).repeat(m)
+        turned = crops[every].turned(yaw.to(classes.dtype) * (2 * math.pi / HEADING_BINS))
+        samples, _ = crop_inputs(batch, turned, self.CELLS, truncation_m)
+        known = torch.cat([classes, crops.size], dim=1)[every]
+        scores = self.score(torch.cat([self.encode(samples), known], dim=1))
+        return scores.view(m, HEADING_BINS)
+
+
 class ObjectNet(nn.Module):
     """Encoder-decoder over the fused crop, then the heads."""
 
-    def __init__(
-        self, c_features: int, channels: tuple[int, ...], n_classes: int, cells: int
-    ) -> None:
+    def __init__(self, c_features: int, channels: tuple[int, ...], n_classes: int) -> None:
         super().__init__()
         c1, c2, c3 = channels
         self.embed_features = nn.Linear(c_features, c1)
@@ -157,12 +187,7 @@ class ObjectNet(nn.Module):
         self.classify = nn.Sequential(
             nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1)
         )
-        self.heading = nn.Sequential(  # where things are tells the heading: no pooling
-            nn.Flatten(),
-            nn.Linear(c3 * (cells // 8) ** 3, c3),
-            nn.ReLU(),
-            nn.Linear(c3, HEADING_BINS),
-        )
+        self.heading = HeadingNet(n_classes)
 
     def forward(
         self,
@@ -174,13 +199,16 @@ class ObjectNet(nn.Module):
         margin: float,
         teacher: Teacher = likeliest_heading,
     ) -> ObjectFields:
-        """Fields of every crop. The correspondences are a dense correction of an anchor turned by
-        the heading: front and back are a choice between bins, not a mean of both."""
+        """Fields of every crop, which is turned to the heading first: completion happens in
+        nearly canonical axes, and the correspondences are a dense correction of the crop's own
+        coordinates over its diagonal. Front and back are a choice between bins, not a mean."""
+        classes = voted_classes(fields, voxels_inside(batch, crops)[1])
+        headings = self.heading(batch, crops, classes.detach(), truncation_m)
+        crops = crops.turned(teacher(headings.detach()))
         samples, surface = crop_inputs(batch, crops, cells, truncation_m)
         position = _position_channels(batch, crops, cells // 2)
-        relative, inside = voxels_inside(batch, crops)
         embedded = self.embed_features(fields.features)
-        sparse = scatter_features(embedded, relative, inside, cells // 2)
+        sparse = scatter_features(embedded, *voxels_inside(batch, crops), cells // 2)
         x = sparse + self.embed_tsdf(samples) + self.embed_position(position)
         x1 = self.encode1(torch.relu(x))
         x2 = self.encode2(x1)
@@ -189,12 +217,12 @@ class ObjectNet(nn.Module):
         y1 = self.decode1(torch.cat([x1, self.up1(y2)], dim=1))
         pooled = torch.cat([x3.mean(dim=(2, 3, 4)), x3.amax(dim=(2, 3, 4))], dim=1)
         summary = self.classify(pooled)
-        headings = self.heading(x3) + voted_headings(fields, inside)
-        anchor = _anchor(position, crops, teacher(headings.detach()), margin)
-        given = torch.cat([y1, anchor, position[:, 3:]], dim=1)
+        anchor = position[:, :3] * (margin / crops.size.norm(dim=1)).view(-1, 1, 1, 1, 1)
+        correction = self.correspondence(torch.cat([y1, position], dim=1))
         return ObjectFields(
+            crops=crops,
             occupancy=self.completion(y1)[:, 0],
-            nocs=anchor + self.correspondence(given),
+            nocs=anchor + correction,
             surface=surface,
             quality=summary[:, 0],
             class_logits=summary[:, 1:],

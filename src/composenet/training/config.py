@@ -28,7 +28,6 @@ class LossWeights:
     quality: float = 1.0
     box_class: float = 1.0
     heading: float = 1.0
-    voxel_heading: float = 1.0
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -10,8 +10,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
-from composenet.network.detection_head import HEADING_BINS, VoxelFields
+from composenet.network.detection_head import VoxelFields
 from composenet.network.object_net import (
+    HEADING_BINS,
     ObjectFields,
     Teacher,
     likeliest_heading,
@@ -41,9 +42,7 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     zero = fields.objectness.sum() * 0
     if not on_object.any():
         touched = fields.center_offset.sum() + fields.extents.sum() + fields.class_logits.sum()
-        touched = touched + fields.heading_logits.sum()
-        none = {"extent": zero, "class": zero, "voxel_heading": zero}
-        return losses | {"center": zero + 0 * touched} | none
+        return losses | {"center": zero + 0 * touched, "extent": zero, "class": zero}
     rows = batch.voxel_object[on_object]
     weight = torch.bincount(rows, minlength=len(batch.frame)).to(zero.dtype).rsqrt()[rows]
     weight = weight / weight.sum()
@@ -61,7 +60,6 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
         "center": (weight * center.sum(dim=1)).sum(),
         "extent": (weight * extent.sum(dim=1)).sum(),
         "class": (weight * classes).sum(),
-        "voxel_heading": _heading_loss(fields.heading_logits[on_object], batch, rows, weight),
     }
 
 
@@ -87,12 +85,11 @@ def object_losses(
             "box_class",
         )
         return losses | dict.fromkeys(names, 0 * touched), PoseErrors(none, none, none)
-    crops, rows = _select(boxes, keep)
+    crops, rows = fields.crops[keep], boxes.rows[keep]
     losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     target = occupancy_in_crops(batch, crops, rows, cells)
     logits = fields.occupancy[keep]
-    even = torch.ones_like(boxes.iou[keep])
-    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows, even)
+    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows)
     losses["completion"] = F.binary_cross_entropy_with_logits(logits, target)
     solid = F.avg_pool3d(target[:, None], 2)[:, 0].flatten(1) > 0.1
     solid[:, 0] |= ~solid.any(dim=1)
@@ -107,13 +104,6 @@ def object_losses(
     gap = fit.t - batch.t[rows]
     losses["translation"] = (seen * gap.square().sum(dim=1)).mean()
     return losses, _errors(fit, squared, gap, logits, target)
-
-
-def _select(boxes: TrainingCrops, keep: Tensor):
-    crops = type(boxes.crops)(
-        boxes.crops.frame[keep], boxes.crops.center[keep], boxes.crops.size[keep]
-    )
-    return crops, boxes.rows[keep]
 
 
 def _errors(
@@ -150,16 +140,13 @@ def heading_bins(yaw: Tensor) -> Tensor:
     return (yaw * (HEADING_BINS / (2 * np.pi))).round().long() % HEADING_BINS
 
 
-def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor, weight: Tensor) -> Tensor:
-    """Weighted cross-entropy where any valid bin is right; objects round about z are left out.
-
-    logits: (M, HEADING_BINS), of objects rows (M,). weight: (M,).
-    """
+def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
+    """Cross-entropy where any valid bin is right; objects round about z are left out."""
     yaws, valid = valid_headings(batch, rows)
     log_p = logits.log_softmax(dim=1).gather(1, heading_bins(yaws))
     log_p = torch.where(valid, log_p, torch.full_like(log_p, -torch.inf))
-    weight = weight * (batch.symmetry_order[rows] <= 4)
-    return -(weight * log_p.logsumexp(dim=1)).sum() / weight.sum().clamp_min(1e-9)
+    directed = (batch.symmetry_order[rows] <= 4).to(logits.dtype)
+    return -(directed * log_p.logsumexp(dim=1)).sum() / directed.sum().clamp_min(1)
 
 
 def heading_teacher(

@@ -71,7 +71,7 @@ def training_crops(
         frames.append(torch.full((len(centers[-1]),), index, device=device))
     center, extent, frame = torch.cat(centers), torch.cat(extents), torch.cat(frames)
     extent = extent.clamp(0.15, 5.0)
-    crops = CropBatch(frame, center, extent * margin)
+    crops = CropBatch.around(frame, center, extent, margin)
     if len(batch.frame) == 0:
         zeros = torch.zeros(len(frame), device=device)
         return TrainingCrops(crops, zeros.long(), zeros, zeros.bool())
