@@ -153,8 +153,9 @@ def test_points_lie_in_the_block_and_correspond() -> None:
     local = (found.points_world - BLOCK.center) @ BLOCK.R
     assert np.all(np.abs(local) <= BLOCK.extents_m / 2 + 1e-3)
     np.testing.assert_allclose(found.points_canonical, local / BLOCK.scale_m, atol=2e-3)
-    filled = len(found.points_world) * np.prod(proposals_of(volume, BLOCK).extents.numpy())
-    volume_m3 = filled * CONFIG.network.crop_margin**3 / CELLS**3
+    proposals, margin = proposals_of(volume, BLOCK), CONFIG.network.crop_margin
+    crop = CropBatch.around(torch.zeros(1), proposals.center, proposals.extents, margin)
+    volume_m3 = len(found.points_world) * crop.size.prod().item() / CELLS**3
     assert volume_m3 == pytest.approx(np.prod(BLOCK.extents_m), rel=0.05)
 
 

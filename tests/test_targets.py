@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from composenet.geometry.box import pairwise_iou
 from composenet.geometry.symmetry import ORDER, turns
 from composenet.geometry.transform import make_T, rotation_z
-from composenet.network.batch import CropBatch
+from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import HEADING_BINS, ObjectFields, likeliest_heading
+from composenet.network.object_net import HEADING_BINS, HeadingNet, ObjectFields, likeliest_heading
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.losses import (
     detection_losses,
@@ -261,3 +261,35 @@ def test_box_iou_equals_the_reference(a: list[tuple], b: list[tuple]) -> None:
         [Box(row[:3], row[3:]) for row in A], [Box(row[:3], row[3:]) for row in B]
     )
     np.testing.assert_allclose(box_iou(*tensors), reference, atol=1e-9)
+
+
+@pytest.mark.parametrize("bins", [1, 5, 9])
+def test_heading_scores_turn_with_the_object(bins: int) -> None:
+    """A turn of the scene about the crop's centre by whole bins shifts the scores by as many."""
+    torch.manual_seed(0)
+    net = HeadingNet(10).eval()
+    depth = torch.zeros(1, 240, 320)
+    depth[0, 60:180, 80:240] = 2.0 + 0.3 * torch.rand(120, 160)
+    K = torch.tensor([[[280.0, 0, 160], [0, 280, 120], [0, 0, 1]]])
+    look = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    center = torch.tensor([[2.0, 0.1, 0.0]])
+    crops = CropBatch.around(torch.zeros(1).long(), center, torch.full((1, 3), 1.2), 1.0)
+
+    def scores(turn_rad: float) -> torch.Tensor:
+        turn = torch.eye(4)
+        turn[:2, :2] = torch.from_numpy(rotation_z(turn_rad)[:2, :2]).float()
+        turn[:3, 3] = center[0] - turn[:3, :3] @ center[0]
+        batch = VolumeBatch(
+            torch.zeros(1, 4).long(),
+            torch.zeros(1, 1),
+            depth,
+            K,
+            (look @ torch.linalg.inv(turn))[None],
+            torch.zeros(1),
+            0.05,
+        )
+        return net(batch, crops, torch.full((1, 10), 0.1), 0.15)[0]
+
+    still, turned = scores(0.0), scores(2 * np.pi * bins / HEADING_BINS)
+    torch.testing.assert_close(turned, still.roll(bins), atol=2e-3, rtol=0)
+    assert still.std() > 1e-3
