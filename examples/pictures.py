@@ -15,9 +15,12 @@ from PIL import Image
 import composenet
 from composenet.predictions import read_predictions
 from composenet.records import TrackState
+from composenet.sequences import SequenceOptions
 from composenet.view.figures import ColoredMesh, overlay, track_color
 from composenet.view.meshes import canonical_mesh, place
 from composenet.view.plots import contact_sheet, top_view
+
+DEFAULT_READING = SequenceOptions()
 
 
 def main(
@@ -26,6 +29,7 @@ def main(
     out: Path = Path("picture.png"),
     frames: int = 6,
     columns: int = 3,
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = DEFAULT_READING,
 ) -> None:
     """Draw what was seen in evenly spaced frames, and the top view on the right."""
     run = read_predictions(result)
@@ -33,7 +37,7 @@ def main(
     wanted = np.linspace(0, len(run.frames) - 1, frames).round().astype(int)
     records = {run.frames[i].index: run.frames[i] for i in wanted}
     pictures = []
-    for frame in composenet.open_sequence(recording):
+    for frame in composenet.open_sequence(recording, options=reading):
         if frame.index not in records:
             continue
         seen = [
