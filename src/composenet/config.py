@@ -47,7 +47,7 @@ class NetworkConfig:
     """cells a side of the fixed grid each box is sampled on; halved three times"""
     crop_margin: Annotated[float, Field(ge=1)] = 1.25
     """the crop is the proposal grown by this factor"""
-    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
+    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.2
     """a cell counts as filled from this probability on"""
 
 
@@ -80,7 +80,7 @@ class TrackingConfig:
     """[paper]"""
     running_mean_weight: Positive = 4.0
     """old : new = 4 : 1 [paper]"""
-    min_birth_score: Share = 0.3
+    min_birth_score: Share = 0.5
     """a weaker proposal may continue a track but starts none"""
     duplicate_iou: Share = 0.5
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""
