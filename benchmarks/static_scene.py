@@ -24,13 +24,15 @@ from composenet.records import CLASS_NAMES, TrackedObject
 @dataclass(frozen=True)
 class Stillness:
     """One track. drift_cm: median; start_to_end_cm: between the medians of the first and last
-    quarter of its frames; upright_deg: median angle between its up axis and the world's."""
+    quarter of its frames; span_cm: largest distance between two of its centres, which shows a track
+    that slid from one object to the next; upright_deg: median angle between its up axis and the world's."""
 
     track_id: int
     class_name: str
     frames_seen: int
     drift_cm: float
     start_to_end_cm: float
+    span_cm: float
     upright_deg: float
 
 
@@ -47,6 +49,7 @@ def stillness(track_id: int, class_id: int, seen: list[TrackedObject]) -> Stilln
         len(seen),
         float(100 * np.median(away)),
         float(100 * np.linalg.norm(ends)),
+        float(100 * np.linalg.norm(centers[:, None] - centers[None], axis=-1).max()),
         float(np.median(tilt)),
     )
 
@@ -66,6 +69,7 @@ def main(
         print(
             f"track {row.track_id:3d} {row.class_name:10s} seen {row.frames_seen:4d}  "
             f"drift {row.drift_cm:5.1f} cm  start to end {row.start_to_end_cm:5.1f} cm  "
+            f"span {row.span_cm:5.1f} cm  "
             f"tilt {row.upright_deg:4.1f} deg"
         )
     median = float(np.median([row.drift_cm for row in rows])) if rows else None
