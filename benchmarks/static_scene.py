@@ -24,8 +24,9 @@ from composenet.records import CLASS_NAMES, TrackedObject
 @dataclass(frozen=True)
 class Stillness:
     """One track. drift_cm: median; start_to_end_cm: between the medians of the first and last
-    quarter of its frames; span_cm: largest distance between two of its centres, which shows a track
-    that slid from one object to the next; upright_deg: median angle between its up axis and the world's."""
+    quarter of its frames; span_cm: largest distance between two of its centres, which shows a
+    track that slid from one object to the next; upright_deg: median angle between its up axis and
+    the world's."""
 
     track_id: int
     class_name: str
