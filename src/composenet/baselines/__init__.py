@@ -1,0 +1,1 @@
+"""The paper's comparison systems, behind one interface (`records`)."""

@@ -1,0 +1,86 @@
+"""What every comparison system is given and what it returns.
+
+A system is made for one recording and called once a frame, in order, with the frame and the
+instance masks of its image; it returns every living track as the same `TrackedObject` records
+as our own tracker. It never sees ground truth but what the masks hold.
+
+**Poses.** With `Cameras.GIVEN` the frames' `T_world_camera` are the recording's own. With
+`Cameras.ESTIMATED` only that of the first frame is: later frames repeat it, and the system
+tracks the camera itself, in the world that the first pose fixes.
+
+**Trajectories.** These systems see surfaces, not whole objects, so where an object's centre lies
+is unknown to them. `box.center` is any point fixed to the object, carried along by the estimated
+motion, and `S_world_canonical` has the rotation since the track began in `R` and the same point
+in `t` (`scale_m` is the diagonal of `extents_m`, the box seen so far). The benchmark moves that
+point to the true centre at the track's first frame, as the paper grants, and the estimated motion
+carries it on from there: see `start_shift`. `canonical` models are the system's own affair.
+
+**States.** Only `tracked` and `re-found` claim that the object is seen in this frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.records import FloatArray, Frame, TrackedObject
+
+
+class Cameras(StrEnum):
+    """Where camera poses come from."""
+
+    GIVEN = "given"
+    ESTIMATED = "estimated"
+
+
+@dataclass(frozen=True)
+class InstanceMasks:
+    """Furniture in one image, M pieces, as 2D detection sees it.
+
+    masks: (M, H, W) bool, of the depth image's size; they may overlap. class_ids: (M,) int64.
+    scores: (M,) float32 in 0..1. gt_ids: (M,) int64, unique, only for systems that are told the
+    true identities; else None.
+    """
+
+    masks: NDArray[np.bool_]
+    class_ids: NDArray[np.int64]
+    scores: FloatArray
+    gt_ids: NDArray[np.int64] | None = None
+
+    @property
+    def union(self) -> NDArray[np.bool_]:
+        """(H, W) bool: any furniture. The rest is what a camera may be tracked against."""
+        return np.asarray(self.masks.any(axis=0))
+
+
+class MaskSource(Protocol):
+    """The masks of a frame: true ones, or those of a network."""
+
+    def __call__(self, frame: Frame) -> InstanceMasks: ...
+
+
+class ComparisonSystem(Protocol):
+    """Tracks one recording, frame by frame, looking at nothing to come."""
+
+    def __call__(self, frame: Frame, masks: InstanceMasks) -> tuple[TrackedObject, ...]: ...
+
+
+@dataclass(frozen=True)
+class Row:
+    """A system of the benchmark's table.
+
+    make: a fresh system for a recording. masks: their source for a sequence folder. told: what
+    of the ground truth it is given, for the table. weights: of its networks, if it has any; the
+    file is part of what made the scores.
+    """
+
+    make: Callable[[Cameras], ComparisonSystem]
+    masks: Callable[[Path], MaskSource]
+    told: str
+    weights: Callable[[], Path] | None = None
