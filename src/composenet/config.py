@@ -41,6 +41,8 @@ class NetworkConfig:
 
     backbone_channels: tuple[Count, ...] = (16, 32, 48, 64, 96)
     """channels at strides 1, 2, 4, 8, 16 (bottleneck 1/16 [paper])"""
+    backbone_blocks: tuple[Count, ...] = (1, 1, 2, 2, 2)
+    """residual blocks at each stride, before and again after the bottleneck"""
     object_channels: tuple[Count, Count, Count] = (24, 48, 96)
     """channels of the object network at 1/2, 1/4, 1/8 of the crop"""
     crop_cells: Annotated[int, Field(ge=8, multiple_of=8)] = 32
@@ -64,6 +66,8 @@ class DetectionConfig:
     """smaller clusters are dropped [paper]"""
     max_proposals: Count = 20
     min_score: Share = 0.3
+    duplicate_iou: Share = 0.5
+    """of two corrected boxes that overlap more than this, the weaker is dropped"""
 
 
 @dataclass(frozen=True, config=_STRICT)

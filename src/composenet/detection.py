@@ -8,16 +8,22 @@ import torch
 from torch import Tensor
 
 from composenet.config import DetectionConfig
+from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
+from composenet.network.model import ComposeNet
+
+BOX_LIMITS_M = (0.15, 5.0)
+"""Boxes are taken to be no smaller and no larger than furniture."""
 
 
 @dataclass(frozen=True)
 class Proposals:
     """Boxes found in one frame, grid frame, strongest first.
 
-    center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) mean
-    objectness of the cluster. voxels: (M,) how many voxels voted.
+    center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) of `propose`
+    the mean objectness of the cluster, of `second_look` that and the quality. voxels: (M,) how
+    many voxels voted.
     """
 
     center: Tensor
@@ -28,7 +34,7 @@ class Proposals:
 
 
 def mean_shift(
-    points: Tensor, radius: float, steps: int, bin_size: float = 1.0
+    points: Tensor, radius: float, steps: int, bin_size: float = 2.0
 ) -> tuple[Tensor, Tensor]:
     """Flat-kernel mean shift: modes (K, 3), strongest first, and each point's mode (P,).
 
@@ -52,20 +58,20 @@ def mean_shift(
         if shift < 1e-3 * radius:
             break
     density = (near * weight).sum(dim=1)
-    modes = _merge(seeds, density, radius)
+    order = torch.argsort(density, descending=True, stable=True)
+    ordered = seeds[order]
+    modes = ordered[_distinct(torch.cdist(ordered, ordered) <= radius).to(seeds.device)]
     return modes, torch.cdist(seeds, modes).argmin(dim=1)[member]
 
 
-def _merge(seeds: Tensor, density: Tensor, radius: float) -> Tensor:
-    """Seeds in order of density, each at least a radius from all stronger ones."""
-    order = torch.argsort(density, descending=True, stable=True)
-    ordered = seeds[order]
-    close = (torch.cdist(ordered, ordered) <= radius).cpu()
-    alive = torch.ones(len(ordered), dtype=torch.bool)
-    for i in range(len(ordered)):
+def _distinct(clash: Tensor) -> Tensor:
+    """Rows, int64, that clash with no earlier row that is kept. clash: (M, M) bool."""
+    clash = clash.cpu()
+    alive = torch.ones(len(clash), dtype=torch.bool)
+    for i in range(len(clash)):
         if alive[i]:
-            alive[i + 1 :] &= ~close[i, i + 1 :]
-    return ordered[alive.to(ordered.device)]
+            alive[i + 1 :] &= ~clash[i, i + 1 :]
+    return torch.nonzero(alive)[:, 0]
 
 
 @torch.no_grad()
@@ -122,3 +128,40 @@ def _propose_frame(
         score=mean[order, 1],
         voxels=count[order],
     )
+
+
+@torch.no_grad()
+def second_look(
+    network: ComposeNet,
+    fields: VoxelFields,
+    batch: VolumeBatch,
+    proposals: tuple[Proposals, ...],
+    config: DetectionConfig,
+) -> tuple[Proposals, ...]:
+    """Proposals with corrected boxes and classes, strongest first.
+
+    score becomes the root of objectness times quality; of two boxes that overlap by more than
+    config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture cannot
+    share that much space.
+    """
+    out = []
+    for index, p in enumerate(proposals):
+        frame = torch.full((len(p.center),), index, device=p.center.device)
+        extents = p.extents.clamp(*BOX_LIMITS_M)
+        boxes = network.box_fields(fields, batch, p.center, extents, frame)
+        score = (p.score * boxes.quality.sigmoid()).sqrt()
+        order = torch.argsort(score, descending=True, stable=True)
+        order = order[score[order] >= config.min_score]
+        center, extents = boxes.center[order], boxes.extents[order]
+        overlap = pairwise_iou(center, extents, center, extents)
+        order = order[_distinct(overlap > config.duplicate_iou).to(order.device)]
+        out.append(
+            Proposals(
+                center=boxes.center[order],
+                extents=boxes.extents[order],
+                class_probabilities=boxes.class_logits[order].softmax(dim=1),
+                score=score[order],
+                voxels=p.voxels[order],
+            )
+        )
+    return tuple(out)

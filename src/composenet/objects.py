@@ -21,22 +21,19 @@ from composenet.records import Box, FloatArray, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
 CANONICAL_CELLS = 64
-CROP_LIMITS_M = (0.15, 5.0)
-"""Proposals are taken to be no smaller and no larger than furniture."""
 
 
 @dataclass(frozen=True)
 class _Completed:
     """Every proposal of a frame, completed and posed, as tensors in the grid frame.
 
-    shown: (M, C, C, C) occupancy in 0..1, 0.5 being the decision. class_probabilities: (M, 10).
-    score: (M,). canonical: (M, 64, 64, 64).
+    shown: (M, C, C, C) occupancy in 0..1, 0.5 being the decision. score: (M,).
+    canonical: (M, 64, 64, 64).
     """
 
     proposals: Proposals
     crops: CropBatch
     shown: Tensor
-    class_probabilities: Tensor
     score: Tensor
     fit: SimilarityFit
     canonical: Tensor
@@ -73,20 +70,18 @@ def _complete(
 ) -> _Completed:
     center = proposals.center
     frame = torch.zeros(len(center), dtype=torch.long, device=center.device)
-    extents = proposals.extents.clamp(*CROP_LIMITS_M)
-    boxes = CropBatch.around(frame, center, extents, config.network.crop_margin)
-    objects = network.object_fields(fields, batch, boxes)
+    boxes = CropBatch.around(frame, center, proposals.extents, config.network.crop_margin)
+    probabilities = proposals.class_probabilities
+    objects = network.object_fields(fields, batch, boxes, probabilities)
     crops = objects.crops
-    joint = proposals.class_probabilities * objects.class_logits.softmax(dim=1)
-    probabilities = joint / joint.sum(dim=1, keepdim=True).clamp_min(1e-12)
-    score = (proposals.score * objects.quality.sigmoid()).sqrt() * probabilities.amax(dim=1)
+    score = proposals.score * probabilities.amax(dim=1)
     shown = _shown_occupancy(objects, config)
     coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
     points = crops.points(config.network.crop_cells // 2)
     correspondences = objects.nocs.flatten(2).transpose(1, 2)
     fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
     canonical = _canonical(shown, crops, fit)
-    return _Completed(proposals, crops, shown, probabilities, score, fit, canonical)
+    return _Completed(proposals, crops, shown, score, fit, canonical)
 
 
 def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
@@ -130,7 +125,7 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     points_world = points_grid @ R_world_grid.T + low
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(
-        class_id=int(found.class_probabilities[i].argmax()),
+        class_id=int(found.proposals.class_probabilities[i].argmax()),
         score=float(found.score[i]),
         box=box,
         S_world_canonical=similarity,

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, to_dict
-from composenet.detection import propose
+from composenet.detection import propose, second_look
 from composenet.errors import ConfigError
 from composenet.network.batch import collate
 from composenet.network.model import ComposeNet
@@ -54,7 +54,11 @@ class ObjectTracker:
                 with clock("backbone"):
                     fields = self.network.voxel_fields(batch)
                 with clock("proposals"):
-                    (proposals,) = propose(fields, batch, self.config.detection)
+                    voted = propose(fields, batch, self.config.detection)
+                with clock("boxes"):
+                    (proposals,) = second_look(
+                        self.network, fields, batch, voted, self.config.detection
+                    )
                 with clock("objects"):
                     estimates = estimate_objects(
                         self.network, fields, batch, volume, proposals, self.config
@@ -99,7 +103,12 @@ def load_tracker(
 
 
 def _sizes(network: NetworkConfig) -> tuple[object, ...]:
-    return network.backbone_channels, network.object_channels, network.crop_cells
+    return (
+        network.backbone_channels,
+        network.backbone_blocks,
+        network.object_channels,
+        network.crop_cells,
+    )
 
 
 def select_device(name: str) -> torch.device:

@@ -24,15 +24,30 @@ class _Block(nn.Module):
         return torch.relu(x + self.norm2(self.conv2(y, level)))
 
 
-class Backbone(nn.Module):
-    """features (N, c_in) on the finest level -> (N, channels[0] * 2)."""
+class _Stage(nn.ModuleList):
+    """Blocks of one resolution, one after the other."""
 
-    def __init__(self, c_in: int, channels: tuple[int, ...]) -> None:
+    def __init__(self, channels: int, blocks: int) -> None:
+        super().__init__(_Block(channels) for _ in range(blocks))
+
+    def forward(self, x: Tensor, level: Level) -> Tensor:
+        for block in self:
+            x = block(x, level)
+        return x
+
+
+class Backbone(nn.Module):
+    """features (N, c_in) on the finest level -> (N, channels[0] * 2).
+
+    channels, blocks: of each resolution, finest first; the decoder has as many blocks.
+    """
+
+    def __init__(self, c_in: int, channels: tuple[int, ...], blocks: tuple[int, ...]) -> None:
         super().__init__()
         self.c_out = 2 * channels[0]
         self.stem = SubmanifoldConv(c_in, channels[0])
         self.stem_norm = nn.BatchNorm1d(channels[0])
-        self.encoder = nn.ModuleList(_Block(c) for c in channels)
+        self.encoder = nn.ModuleList(_Stage(c, n) for c, n in zip(channels, blocks, strict=True))
         pairs = list(pairwise(channels))
         self.down = nn.ModuleList(Down(a, b) for a, b in pairs)
         self.down_norm = nn.ModuleList(nn.BatchNorm1d(b) for _, b in pairs)
@@ -42,7 +57,7 @@ class Backbone(nn.Module):
         self.merge = nn.ModuleList(
             nn.Linear(2 * a, w) for (a, _), w in zip(pairs, wide, strict=True)
         )
-        self.decoder = nn.ModuleList(_Block(w) for w in wide)
+        self.decoder = nn.ModuleList(_Stage(w, n) for w, n in zip(wide, blocks[:-1], strict=True))
 
     def forward(self, features: Tensor, levels: tuple[Level, ...]) -> Tensor:
         x = torch.relu(self.stem_norm(self.stem(features, levels[0])))

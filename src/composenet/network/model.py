@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from torch import nn
+from torch import Tensor, nn
 
 from composenet.config import NetworkConfig, VolumeConfig
 from composenet.network.backbone import Backbone
 from composenet.network.batch import CropBatch, VolumeBatch
+from composenet.network.box_head import BoxFields, BoxHead
 from composenet.network.detection_head import DetectionHead, VoxelFields
 from composenet.network.object_net import ObjectFields, ObjectNet, Teacher, likeliest_heading
 from composenet.network.sparse import build_pyramid
@@ -20,8 +21,11 @@ class ComposeNet(nn.Module):
     def __init__(self, network: NetworkConfig, volume: VolumeConfig) -> None:
         super().__init__()
         self.config, self.volume_config = network, volume
-        self.backbone = Backbone(len(FEATURE_NAMES), network.backbone_channels)
+        self.backbone = Backbone(
+            len(FEATURE_NAMES), network.backbone_channels, network.backbone_blocks
+        )
         self.detection = DetectionHead(self.backbone.c_out, len(CLASS_NAMES))
+        self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES))
         self.objects = ObjectNet(self.backbone.c_out, network.object_channels, len(CLASS_NAMES))
 
     def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
@@ -29,21 +33,35 @@ class ComposeNet(nn.Module):
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
         return self.detection(self.backbone(batch.features, levels))
 
+    def box_fields(
+        self,
+        fields: VoxelFields,
+        batch: VolumeBatch,
+        center: Tensor,
+        extents: Tensor,
+        frame: Tensor,
+    ) -> BoxFields:
+        """A second look at boxes. center, extents: (M, 3) metres, grid frame. frame: (M,) int64."""
+        return self.boxes(fields, batch, center, extents, frame)
+
     def object_fields(
         self,
         fields: VoxelFields,
         batch: VolumeBatch,
         crops: CropBatch,
+        classes: Tensor,
         teacher: Teacher = likeliest_heading,
     ) -> ObjectFields:
-        """Completion, correspondences, quality and class of every crop.
+        """Completion and correspondences of every crop.
 
-        fields: of voxel_fields. teacher: which heading the correspondences build on.
+        fields: of voxel_fields. classes: (M, n_classes) probabilities. teacher: which heading the
+        correspondences build on.
         """
         return self.objects(
             fields,
             batch,
             crops,
+            classes,
             self.config.crop_cells,
             self.volume_config.truncation_m,
             self.config.crop_margin,

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
+from composenet.network.box_head import voxels_inside
 from composenet.network.detection_head import VoxelFields
 from composenet.volume.tsdf import projective_tsdf
 
@@ -31,26 +32,14 @@ class ObjectFields:
 
     crops: the boxes, turned by the heading that was taken. occupancy: (M, C, C, C) logits. nocs:
     (M, 3, C/2, C/2, C/2) canonical coordinates. surface: (M, C, C, C) bool, cells on the observed
-    surface. quality: (M,) logits of how well the crop holds an object. class_logits: (M,
-    n_classes). heading_logits: (M, HEADING_BINS) of the yaw of the object's front in the grid.
+    surface. heading_logits: (M, HEADING_BINS) of the yaw of the object's front in the grid.
     """
 
     crops: CropBatch
     occupancy: Tensor
     nocs: Tensor
     surface: Tensor
-    quality: Tensor
-    class_logits: Tensor
     heading_logits: Tensor
-
-
-def voxels_inside(batch: VolumeBatch, crops: CropBatch) -> tuple[Tensor, Tensor]:
-    """(M, N, 3) places of the voxels in every crop, 0..1 along its sides, and (M, N) bool which
-    voxels lie in it."""
-    centers = batch.coords[:, 1:].to(crops.center.dtype) * batch.voxel_size_m
-    shares = crops.shares(centers.expand(len(crops.frame), -1, -1))
-    inside = (shares >= 0).all(-1) & (shares < 1).all(-1)
-    return shares, inside & (batch.coords[None, :, 0] == crops.frame[:, None])
 
 
 def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: int) -> Tensor:
@@ -68,13 +57,6 @@ def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: 
     count = features.new_zeros(n_slots, 1).index_add(0, slot, ones)
     mean = sums / count.clamp_min(1)
     return mean.view(-1, cells, cells, cells, features.shape[1]).permute(0, 4, 1, 2, 3)
-
-
-def voted_classes(fields: VoxelFields, inside: Tensor) -> Tensor:
-    """(M, n_classes) mean class probability of the object voxels in every crop."""
-    weight = inside * fields.objectness.sigmoid()
-    votes = weight @ fields.class_logits.softmax(dim=1)
-    return votes / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
 
 
 def crop_inputs(
@@ -180,20 +162,21 @@ class ObjectNet(nn.Module):
         self.encode3 = nn.Sequential(_down(c2, c3), _conv(c3, c3), _conv(c3, c3))
         self.up2, self.decode2 = _up(c3, c2), nn.Sequential(_conv(2 * c2, c2), _conv(c2, c2))
         self.up1, self.decode1 = _up(c2, c1), _conv(2 * c1, c1)
-        fill = nn.ConvTranspose3d(c1, 1, 2, stride=2)
+        fill = nn.ConvTranspose3d(2 * c1, 1, 2, stride=2)
         nn.init.constant_(cast(Tensor, fill.bias), -2.0)  # most cells are empty
-        self.completion = nn.Sequential(_conv(c1, c1), fill)
-        self.correspondence = nn.Sequential(_conv(c1 + 4, c1), nn.Conv3d(c1, 3, 1))
-        self.classify = nn.Sequential(
-            nn.Linear(2 * c3, c3), nn.ReLU(), nn.Linear(c3, n_classes + 1)
+        self.completion = nn.Sequential(nn.Conv3d(c1, 2 * c1, 1), nn.ReLU(), fill)
+        self.correspondence = nn.Sequential(
+            nn.Conv3d(c1 + 4, 2 * c1, 1), nn.ReLU(), nn.Conv3d(2 * c1, 3, 1)
         )
         self.heading = HeadingNet(n_classes)
+        self.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
 
     def forward(
         self,
         fields: VoxelFields,
         batch: VolumeBatch,
         crops: CropBatch,
+        classes: Tensor,
         cells: int,
         truncation_m: float,
         margin: float,
@@ -201,22 +184,20 @@ class ObjectNet(nn.Module):
     ) -> ObjectFields:
         """Fields of every crop, which is turned to the heading first: completion happens in
         nearly canonical axes, and the correspondences are a dense correction of the crop's own
-        coordinates over its diagonal. Front and back are a choice between bins, not a mean."""
-        classes = voted_classes(fields, voxels_inside(batch, crops)[1])
-        headings = self.heading(batch, crops, classes.detach(), truncation_m)
+        coordinates over its diagonal. Front and back are a choice between bins, not a mean.
+        classes: (M, n_classes) probabilities."""
+        headings = self.heading(batch, crops, classes, truncation_m)
         crops = crops.turned(teacher(headings.detach()))
         samples, surface = crop_inputs(batch, crops, cells, truncation_m)
         position = _position_channels(batch, crops, cells // 2)
         embedded = self.embed_features(fields.features)
         sparse = scatter_features(embedded, *voxels_inside(batch, crops), cells // 2)
         x = sparse + self.embed_tsdf(samples) + self.embed_position(position)
-        x1 = self.encode1(torch.relu(x))
+        x1 = self.encode1(torch.relu(x).contiguous(memory_format=torch.channels_last_3d))
         x2 = self.encode2(x1)
         x3 = self.encode3(x2)
         y2 = self.decode2(torch.cat([x2, self.up2(x3)], dim=1))
         y1 = self.decode1(torch.cat([x1, self.up1(y2)], dim=1))
-        pooled = torch.cat([x3.mean(dim=(2, 3, 4)), x3.amax(dim=(2, 3, 4))], dim=1)
-        summary = self.classify(pooled)
         anchor = position[:, :3] * (margin / crops.size.norm(dim=1)).view(-1, 1, 1, 1, 1)
         correction = self.correspondence(torch.cat([y1, position], dim=1))
         return ObjectFields(
@@ -224,7 +205,5 @@ class ObjectNet(nn.Module):
             occupancy=self.completion(y1)[:, 0],
             nocs=anchor + correction,
             surface=surface,
-            quality=summary[:, 0],
-            class_logits=summary[:, 1:],
             heading_logits=headings,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -21,10 +21,12 @@ class LossWeights:
     extent: float = 0.1
     classes: float = 1.0
     completion: float = 4.0
+    overlap: float = 1.0
     correspondence: float = 4.0
     rotation: float = 0.2
     translation: float = 0.1
     scale: float = 0.1
+    box: float = 1.0
     quality: float = 1.0
     box_class: float = 1.0
     heading: float = 1.0
@@ -46,11 +48,14 @@ class TrainingConfig:
     """[paper]"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
+    parts: Literal["all", "detector", "objects"] = "all"
+    """what learns; the detector alone costs a fifth of a whole step, and the object network alone
+    sees the features of a detector that is held fixed"""
     joint_from_step: Annotated[int, Field(ge=0)] = 3200
     """until then the object network learns on jittered true boxes with the features held fixed,
     afterwards end to end and on the detector's own proposals too (the paper's two stages)"""
-    max_boxes: Count = 7
-    """crops a frame (paper: up to 10 proposals)"""
+    max_crops: Count = 4
+    """objects a frame that are completed and posed (paper: up to 10 proposals)"""
     gradient_clip: Positive = 5.0
     ema_decay: Share = 0.999
     frames_per_scene: Count = 5

@@ -9,15 +9,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from composenet.geometry.aligned_boxes import paired_iou
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
+from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.object_net import (
     HEADING_BINS,
     ObjectFields,
     Teacher,
-    likeliest_heading,
 )
-from composenet.training.proposals import TrainingCrops
+from composenet.training.proposals import TrainingBoxes
 from composenet.training.targets import TrainingBatch, occupancy_in_crops
 
 
@@ -28,6 +29,12 @@ class PoseErrors:
     rotation_deg: Tensor
     translation_m: Tensor
     completion_iou: Tensor
+
+    @staticmethod
+    def none(like: Tensor) -> PoseErrors:
+        """Of no crop at all."""
+        empty = like.new_zeros(0)
+        return PoseErrors(empty, empty, empty)
 
 
 def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Tensor]:
@@ -63,38 +70,59 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     }
 
 
-def object_losses(
-    fields: ObjectFields, batch: TrainingBatch, boxes: TrainingCrops
-) -> tuple[dict[str, Tensor], PoseErrors]:
-    """Completion, correspondence, rotation, scale, translation, quality and class."""
-    cells = fields.occupancy.shape[-1]
-    quality = ((boxes.iou - 0.1) / 0.5).clamp(0, 1)
-    losses = {"quality": F.binary_cross_entropy_with_logits(fields.quality, quality)}
+def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) -> dict[str, Tensor]:
+    """Box (places and sizes as shares of the true ones, and IoU), quality and class.
+
+    The quality that is taught rises from 0 to 1 as the corrected box's IoU does from 0.1 to 0.6.
+    """
     keep = boxes.positive
-    if not keep.any():
-        touched = fields.occupancy.sum() + fields.nocs.sum() + fields.class_logits.sum()
-        none = touched.new_zeros(0)
-        touched = touched + fields.heading_logits.sum()
-        names = (
-            "heading",
-            "completion",
-            "correspondence",
-            "rotation",
-            "scale",
-            "translation",
-            "box_class",
-        )
-        return losses | dict.fromkeys(names, 0 * touched), PoseErrors(none, none, none)
-    crops, rows = fields.crops[keep], boxes.rows[keep]
-    losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
+    rows = boxes.rows[keep]
+    quality = torch.zeros_like(boxes.iou)
+    losses = {name: 0 * fields.class_logits.sum() for name in ("box", "box_class")}
+    if keep.any():
+        center, extents = fields.center[keep], fields.extents[keep]
+        true_center, true_extents = batch.center[rows], batch.extents[rows]
+        iou = paired_iou(center, extents, true_center, true_extents)
+        quality[keep] = ((iou.detach() - 0.1) / 0.5).clamp(0, 1)
+        gap = (center - true_center).abs() / true_extents + (extents / true_extents).log().abs()
+        losses["box"] = (gap.sum(dim=1) + 1 - iou).mean()
+        losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
+    losses["quality"] = F.binary_cross_entropy_with_logits(fields.quality, quality)
+    return losses
+
+
+OBJECT_LOSSES = (
+    "heading",
+    "completion",
+    "overlap",
+    "correspondence",
+    "rotation",
+    "scale",
+    "translation",
+)
+
+
+def object_losses(
+    fields: ObjectFields, batch: TrainingBatch, rows: Tensor
+) -> tuple[dict[str, Tensor], PoseErrors]:
+    """Heading, completion, correspondence, rotation, scale and translation of crops that show
+    the objects `rows` (M,) of the batch."""
+    cells = fields.occupancy.shape[-1]
+    if not len(rows):
+        touched = 0 * (fields.occupancy.sum() + fields.nocs.sum() + fields.heading_logits.sum())
+        return dict.fromkeys(OBJECT_LOSSES, touched), PoseErrors.none(touched)
+    crops = fields.crops
     target = occupancy_in_crops(batch, crops, rows, cells)
-    logits = fields.occupancy[keep]
-    losses["heading"] = _heading_loss(fields.heading_logits[keep], batch, rows)
-    losses["completion"] = F.binary_cross_entropy_with_logits(logits, target)
+    logits = fields.occupancy
+    losses = {
+        "heading": _heading_loss(fields.heading_logits, batch, rows),
+        "completion": F.binary_cross_entropy_with_logits(logits, target),
+        "overlap": _overlap_loss(logits, target),
+    }
     solid = F.avg_pool3d(target[:, None], 2)[:, 0].flatten(1) > 0.1
     solid[:, 0] |= ~solid.any(dim=1)
     points = crops.points(cells // 2)
-    predicted = fields.nocs[keep].flatten(2).transpose(1, 2)
+    predicted = fields.nocs.flatten(2).transpose(1, 2)
     losses["correspondence"] = _correspondence_loss(predicted, points, solid, batch, rows)
     fit = fit_similarity(predicted, points, solid.to(predicted.dtype))
     squared = rotation_square_error(fit.R, batch, rows)
@@ -104,6 +132,13 @@ def object_losses(
     gap = fit.t - batch.t[rows]
     losses["translation"] = (seen * gap.square().sum(dim=1)).mean()
     return losses, _errors(fit, squared, gap, logits, target)
+
+
+def _overlap_loss(logits: Tensor, target: Tensor) -> Tensor:
+    """1 - IoU of soft occupancies: cross-entropy alone is timid where most cells are empty."""
+    filled, true = logits.sigmoid().flatten(1), target.flatten(1)
+    shared = (filled * true).sum(dim=1)
+    return (1 - shared / (filled.sum(dim=1) + true.sum(dim=1) - shared).clamp_min(1e-6)).mean()
 
 
 def _errors(
@@ -149,21 +184,15 @@ def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
     return -(directed * log_p.logsumexp(dim=1)).sum() / directed.sum().clamp_min(1)
 
 
-def heading_teacher(
-    batch: TrainingBatch, boxes: TrainingCrops, generator: torch.Generator
-) -> Teacher:
-    """Gives positive crops the valid heading the network finds likeliest, off by up to half a
-    bin as at test time, and the others the network's own choice."""
+def heading_teacher(batch: TrainingBatch, rows: Tensor, generator: torch.Generator) -> Teacher:
+    """Gives crops of the objects `rows` the valid heading the network finds likeliest, off by up
+    to half a bin as at test time."""
 
     def teach(logits: Tensor) -> Tensor:
-        own = likeliest_heading(logits)
-        if len(batch.frame) == 0:
-            return own
-        yaws, valid = valid_headings(batch, boxes.rows)
+        yaws, valid = valid_headings(batch, rows)
         liked = logits.gather(1, heading_bins(yaws)).masked_fill(~valid, -torch.inf).argmax(dim=1)
-        true = yaws.gather(1, liked[:, None])[:, 0]
-        noise = torch.rand(len(own), generator=generator).to(own) - 0.5
-        return torch.where(boxes.positive, true + noise * (2 * np.pi / HEADING_BINS), own)
+        noise = torch.rand(len(rows), generator=generator).to(logits) - 0.5
+        return yaws.gather(1, liked[:, None])[:, 0] + noise * (2 * np.pi / HEADING_BINS)
 
     return teach
 

@@ -1,4 +1,4 @@
-"""Boxes the object network is trained on: jittered true boxes, random ones, own proposals."""
+"""Boxes that training looks at: jittered true boxes, random ones, the detector's own."""
 
 from __future__ import annotations
 
@@ -8,74 +8,97 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from composenet.detection import Proposals
+from composenet.detection import BOX_LIMITS_M, Proposals
+from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import CropBatch
 from composenet.training.targets import TrainingBatch
 
 POSITIVE_IOU = 0.25
-"""From this box IoU on, a crop is taught the object's geometry and pose."""
+"""From this box IoU on, a box is taught the object's box, geometry and pose."""
+JITTERED = 1
+"""Jittered copies of every true box."""
+RANDOM = 1
+"""Random boxes a frame."""
 
 
 @dataclass(frozen=True)
-class TrainingCrops:
-    """M crops. rows: (M,) best overlapping object of the batch. iou: (M,) with its box.
-    positive: (M,) bool."""
+class TrainingBoxes:
+    """M boxes, grid frame. frame: (M,). center, extents: (M, 3) metres. rows: (M,) object of the
+    batch that overlaps most. iou: (M,) with that one's box, 0 where there is none."""
 
-    crops: CropBatch
+    frame: Tensor
+    center: Tensor
+    extents: Tensor
     rows: Tensor
     iou: Tensor
-    positive: Tensor
+
+    @staticmethod
+    def matched(
+        batch: TrainingBatch, frame: Tensor, center: Tensor, extents: Tensor
+    ) -> TrainingBoxes:
+        """Boxes with the objects they show."""
+        if len(batch.frame) == 0:
+            zeros = torch.zeros_like(frame)
+            return TrainingBoxes(frame, center, extents, zeros, zeros.to(center.dtype))
+        iou = pairwise_iou(center, extents, batch.center, batch.extents)
+        iou = torch.where(frame[:, None] == batch.frame[None], iou, torch.zeros_like(iou))
+        best, rows = iou.max(dim=1)
+        return TrainingBoxes(frame, center, extents, rows, best)
+
+    @property
+    def positive(self) -> Tensor:
+        """(M,) bool: shows its object."""
+        return self.iou >= POSITIVE_IOU
+
+    def __getitem__(self, rows: Tensor) -> TrainingBoxes:
+        """Some of the boxes."""
+        return TrainingBoxes(*(value[rows] for value in vars(self).values()))
+
+    def crops(self, margin: float) -> CropBatch:
+        """What the object network looks into."""
+        return CropBatch.around(self.frame, self.center, self.extents, margin)
 
 
-def box_iou(center_a: Tensor, extents_a: Tensor, center_b: Tensor, extents_b: Tensor) -> Tensor:
-    """(A, B) IoU of axis-aligned boxes."""
-    low = torch.maximum((center_a - extents_a / 2)[:, None], (center_b - extents_b / 2)[None])
-    high = torch.minimum((center_a + extents_a / 2)[:, None], (center_b + extents_b / 2)[None])
-    shared = (high - low).clamp_min(0).prod(dim=-1)
-    union = extents_a.prod(dim=-1)[:, None] + extents_b.prod(dim=-1)[None] - shared
-    return shared / union.clamp_min(1e-9)
-
-
-def training_crops(
-    batch: TrainingBatch,
-    proposals: Sequence[Proposals],
-    margin: float,
-    max_boxes: int,
-    generator: torch.Generator,
-) -> TrainingCrops:
-    """At most max_boxes a frame: a jittered box for each object, one random box a frame, and
-    the detector's own proposals while there is room."""
+def training_boxes(
+    batch: TrainingBatch, proposals: Sequence[Proposals], generator: torch.Generator
+) -> TrainingBoxes:
+    """Jittered boxes of every object, random boxes, and the proposals of every frame."""
     device = batch.center.device
 
     def noise(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator).to(device)
 
-    frames, centers, extents = [], [], []
-    for index in range(batch.volume.size):
-        rows = torch.nonzero(batch.frame == index)[:, 0]
-        rows = rows[torch.randperm(len(rows), generator=generator).to(device)][: max_boxes - 1]
-        n = len(rows)
-        spread = 0.1 * torch.rand(n, 1, generator=generator).to(device) * 2
-        own = batch.extents[rows]
-        c = [batch.center[rows] + spread * own * noise(n, 3)]
-        e = [own * torch.exp(1.5 * spread * noise(n, 3))]
-        sites = torch.nonzero(batch.volume.coords[:, 0] == index)[:, 0]
-        pick = sites[torch.randint(len(sites), (1,), generator=generator).to(device)]
-        c.append(batch.volume.coords[pick, 1:] * batch.volume.voxel_size_m + 0.2 * noise(1, 3))
-        e.append(0.9 * torch.exp(0.5 * noise(1, 3)))
-        if proposals:
-            c.append(proposals[index].center)
-            e.append(proposals[index].extents)
-        centers.append(torch.cat(c)[:max_boxes])
-        extents.append(torch.cat(e)[:max_boxes])
-        frames.append(torch.full((len(centers[-1]),), index, device=device))
-    center, extent, frame = torch.cat(centers), torch.cat(extents), torch.cat(frames)
-    extent = extent.clamp(0.15, 5.0)
-    crops = CropBatch.around(frame, center, extent, margin)
-    if len(batch.frame) == 0:
-        zeros = torch.zeros(len(frame), device=device)
-        return TrainingCrops(crops, zeros.long(), zeros, zeros.bool())
-    iou = box_iou(center, extent, batch.center, batch.extents)
-    iou = torch.where(frame[:, None] == batch.frame[None], iou, torch.zeros_like(iou))
-    best, rows = iou.max(dim=1)
-    return TrainingCrops(crops, rows, best, best >= POSITIVE_IOU)
+    rows = torch.arange(len(batch.frame), device=device).repeat(JITTERED)
+    spread = 0.2 * torch.rand(len(rows), 1, generator=generator).to(device)
+    own = batch.extents[rows]
+    frames = [batch.frame[rows]]
+    centers = [batch.center[rows] + spread * own * noise(len(rows), 3)]
+    extents = [own * torch.exp(1.5 * spread * noise(len(rows), 3))]
+    sites = batch.volume.coords
+    pick = torch.randint(len(sites), (RANDOM * batch.volume.size,), generator=generator).to(device)
+    frames.append(sites[pick, 0])
+    centers.append(sites[pick, 1:] * batch.volume.voxel_size_m + 0.2 * noise(len(pick), 3))
+    extents.append(0.9 * torch.exp(0.5 * noise(len(pick), 3)))
+    for index, own_boxes in enumerate(proposals):
+        frames.append(torch.full((len(own_boxes.center),), index, device=device))
+        centers.append(own_boxes.center)
+        extents.append(own_boxes.extents)
+    return TrainingBoxes.matched(
+        batch, torch.cat(frames), torch.cat(centers), torch.cat(extents).clamp(*BOX_LIMITS_M)
+    )
+
+
+def chosen_objects(boxes: TrainingBoxes, max_crops: int, generator: torch.Generator) -> Tensor:
+    """Rows of at most max_crops positive boxes a frame, no object twice; int64."""
+    kept: list[int] = []
+    taken: set[int] = set()
+    room: dict[int, int] = {}
+    order = torch.randperm(len(boxes.frame), generator=generator)
+    positive, frame, rows = boxes.positive.tolist(), boxes.frame.tolist(), boxes.rows.tolist()
+    for i in order.tolist():
+        left = room.setdefault(frame[i], max_crops)
+        if positive[i] and rows[i] not in taken and left:
+            kept.append(i)
+            taken.add(rows[i])
+            room[frame[i]] -= 1
+    return torch.tensor(kept, dtype=torch.long, device=boxes.frame.device)

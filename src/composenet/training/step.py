@@ -12,11 +12,12 @@ from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
 from composenet.training.losses import (
     PoseErrors,
+    box_losses,
     detection_losses,
     heading_teacher,
     object_losses,
 )
-from composenet.training.proposals import training_crops
+from composenet.training.proposals import TrainingBoxes, chosen_objects, training_boxes
 from composenet.training.targets import TrainingBatch
 
 POSE_LOSSES = ("rotation", "scale", "translation")
@@ -30,22 +31,48 @@ class LossModule(nn.Module):
         self.config = config
         self.network = ComposeNet(config.model.network, config.model.volume)
 
+    def train(self, mode: bool = True) -> LossModule:
+        """Training mode, except for what is held fixed."""
+        super().train(mode)
+        if self.config.parts == "objects":
+            self.network.backbone.eval()
+        return self
+
     def forward(
         self, batch: TrainingBatch, joint: bool, generator: torch.Generator
     ) -> tuple[dict[str, Tensor], PoseErrors]:
         """Unweighted losses by name. joint: second stage (gradients reach the backbone through
-        the object network, which sees the detector's proposals too)."""
-        fields = self.network.voxel_fields(batch.volume)
-        losses = detection_losses(fields, batch)
-        proposals: tuple[Proposals, ...] = ()
+        the object network, and boxes are corrected before it looks into them)."""
+        config = self.config
+        learns_boxes = config.parts != "objects"
+        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_boxes):
+            fields = self.network.voxel_fields(batch.volume)
+            proposals: tuple[Proposals, ...] = ()
+            if learns_boxes:
+                proposals = propose(fields, batch.volume, config.model.detection)
+            boxes = training_boxes(batch, proposals, generator)
+            corrected = self.network.box_fields(
+                fields, batch.volume, boxes.center, boxes.extents, boxes.frame
+            )
+        losses: dict[str, Tensor] = {}
+        if learns_boxes:
+            losses = detection_losses(fields, batch) | box_losses(corrected, batch, boxes)
+        if config.parts == "detector":
+            return losses, PoseErrors.none(fields.objectness)
         if joint:
-            proposals = propose(fields, batch.volume, self.config.model.detection)
-        margin = self.config.model.network.crop_margin
-        boxes = training_crops(batch, proposals, margin, self.config.max_boxes, generator)
-        given = fields if joint else fields.detach()
-        teacher = heading_teacher(batch, boxes, generator)
-        objects = self.network.object_fields(given, batch.volume, boxes.crops, teacher)
-        more, errors = object_losses(objects, batch, boxes)
+            boxes = TrainingBoxes.matched(
+                batch, boxes.frame, corrected.center.detach(), corrected.extents.detach()
+            )
+        chosen = chosen_objects(boxes, config.max_crops, generator)
+        rows = boxes.rows[chosen]
+        objects = self.network.object_fields(
+            fields if joint else fields.detach(),
+            batch.volume,
+            boxes[chosen].crops(config.model.network.crop_margin),
+            corrected.class_logits[chosen].detach().softmax(dim=1),
+            heading_teacher(batch, rows, generator),
+        )
+        more, errors = object_losses(objects, batch, rows)
         if not joint:  # correspondences must make sense before a pose is fitted to them
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
         return losses | more, errors

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import torch
 
-from composenet.detection import Proposals, propose
+from composenet.detection import Proposals, propose, second_look
+from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
-from composenet.training.losses import detection_losses, object_losses
-from composenet.training.proposals import box_iou, training_crops
+from composenet.training.losses import box_losses, detection_losses, object_losses
+from composenet.training.proposals import chosen_objects, training_boxes
 from composenet.training.targets import TrainingBatch
 
 COUNTED_PIXELS = 150
@@ -28,47 +29,57 @@ def validate(
     accuracy of the proposals at box IoU 0.25 (class ignored for the first two)."""
     network.eval()
     sums: dict[str, list[float]] = defaultdict(list)
-    counts = torch.zeros(4)
+    counts = torch.zeros(5)
     generator = torch.Generator().manual_seed(0)
     for batch in batches:
         batch = batch.to(device)
         fields = network.voxel_fields(batch.volume)
-        boxes = training_crops(
-            batch, (), config.model.network.crop_margin, config.max_boxes, generator
+        boxes = training_boxes(batch, (), generator)
+        at = network.box_fields(fields, batch.volume, boxes.center, boxes.extents, boxes.frame)
+        chosen = chosen_objects(boxes, config.max_crops, generator)
+        objects = network.object_fields(
+            fields,
+            batch.volume,
+            boxes[chosen].crops(config.model.network.crop_margin),
+            at.class_logits[chosen].softmax(dim=1),
         )
-        objects = network.object_fields(fields, batch.volume, boxes.crops)
-        losses, errors = object_losses(objects, batch, boxes)
+        losses, errors = object_losses(objects, batch, boxes.rows[chosen])
+        losses |= box_losses(at, batch, boxes)
         for name, value in (detection_losses(fields, batch) | losses).items():
             sums[name].append(float(value))
         for name, values in vars(errors).items():
             sums[name].extend(values.tolist())
-        counts += _count(propose(fields, batch.volume, config.model.detection), batch)
+        proposals = propose(fields, batch.volume, config.model.detection)
+        proposals = second_look(network, fields, batch.volume, proposals, config.model.detection)
+        counts += _count(proposals, batch)
     network.train()
-    found, true, proposed, right_class = counts.tolist()
+    found, true, proposed, right_class, tight = counts.tolist()
     result = {name: sum(v) / max(1, len(v)) for name, v in sums.items()}
     for name in ("rotation_deg", "translation_m"):
         result[name] = float(torch.tensor(sums[name]).median()) if sums[name] else float("nan")
     return result | {
         "recall25": found / max(1, true),
         "precision25": found / max(1, proposed),
+        "recall50": tight / max(1, true),
         "class_accuracy": right_class / max(1, found),
     }
 
 
 def _count(proposals: Sequence[Proposals], batch: TrainingBatch) -> torch.Tensor:
-    """Found, true, proposed, found with the right class."""
-    found = true = proposed = right = 0
+    """Found, true, proposed, found with the right class, found at IoU 0.5."""
+    found = true = proposed = right = tight = 0
     for index, p in enumerate(proposals):
         rows = (batch.frame == index) & (batch.visible_pixels >= COUNTED_PIXELS)
         true += int(rows.sum())
         proposed += len(p.center)
         if not len(p.center) or not rows.any():
             continue
-        best, which = box_iou(batch.center[rows], batch.extents[rows], p.center, p.extents).max(
-            dim=1
-        )
+        best, which = pairwise_iou(
+            batch.center[rows], batch.extents[rows], p.center, p.extents
+        ).max(dim=1)
         hit = best >= 0.25
         found += int(hit.sum())
+        tight += int((best >= 0.5).sum())
         same = p.class_probabilities[which].argmax(dim=1) == batch.class_id[rows]
         right += int((hit & same).sum())
-    return torch.tensor([found, true, proposed, right], dtype=torch.float32)
+    return torch.tensor([found, true, proposed, right, tight], dtype=torch.float32)
