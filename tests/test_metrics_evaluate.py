@@ -104,7 +104,7 @@ def answer_estimates(tracks) -> list[list[ObjectEstimate]]:
     return [
         [
             ObjectEstimate(
-                o.class_id,
+                np.eye(10)[o.class_id],
                 o.confidence,
                 o.box,
                 o.S_world_canonical,

@@ -13,7 +13,7 @@ import numpy as np
 from composenet.geometry.box import aabb_of_points
 from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import make_T, rotation_z
-from composenet.records import Box, Camera, Frame, ObjectEstimate, Similarity
+from composenet.records import CLASS_NAMES, Box, Camera, Frame, ObjectEstimate, Similarity
 
 CHAIR, DESK, TABLE = 4, 5, 8
 WALL_M = 6.0
@@ -49,7 +49,7 @@ def thing(
     center = np.array([x, y, extents[2] / 2])
     corners = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), -1).reshape(-1, 3) * extents
     return ObjectEstimate(
-        class_id=class_id,
+        class_probabilities=np.eye(len(CLASS_NAMES))[class_id],
         score=score,
         box=aabb_of_points(corners @ R.T + center),
         S_world_canonical=Similarity(float(np.linalg.norm(extents)), R, center),

@@ -125,7 +125,7 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     points_world = points_grid @ R_world_grid.T + low
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(
-        class_id=int(found.proposals.class_probabilities[i].argmax()),
+        class_probabilities=_numpy(found.proposals.class_probabilities[i]),
         score=float(found.score[i]),
         box=box,
         S_world_canonical=similarity,

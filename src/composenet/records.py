@@ -111,14 +111,15 @@ class Detections:
 class ObjectEstimate:
     """A posed detection: one object in one frame, completed.
 
-    score: 0..1. box: world, tight around the completed geometry. S_world_canonical: fitted
+    class_probabilities: (n_classes,), sum 1. score: 0..1, of being an object and of its likeliest
+    class. box: world, tight around the completed geometry. S_world_canonical: fitted
     by Procrustes; pose_observable is False where the correspondences do not fix it (then the
     similarity is the box with identity rotation). extents_m: (3,) full extents in object axes.
     points_world, points_canonical: (P, 3) float32, occupied cells and their correspondences.
     canonical: (64, 64, 64) float32 in 0..1, the canonical reconstruction.
     """
 
-    class_id: int
+    class_probabilities: FloatArray
     score: float
     box: Box
     S_world_canonical: Similarity
@@ -127,6 +128,11 @@ class ObjectEstimate:
     points_world: FloatArray
     points_canonical: FloatArray
     canonical: FloatArray
+
+    @property
+    def class_id(self) -> int:
+        """The likeliest class."""
+        return int(np.argmax(self.class_probabilities))
 
 
 @dataclass(frozen=True)

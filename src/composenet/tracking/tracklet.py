@@ -62,7 +62,7 @@ class Tracklet:
 
     @property
     def class_id(self) -> int:
-        """The class with the largest sum of scores so far."""
+        """The class with the largest sum of probabilities so far, each weighted by its score."""
         return int(np.argmax(self._votes))
 
     @property
@@ -114,7 +114,7 @@ class Tracklet:
     def _see(self, frame_index: int, estimate: ObjectEstimate) -> None:
         self.box = estimate.box
         self.last_seen = frame_index
-        self._votes[estimate.class_id] += max(estimate.score, 1e-3)
+        self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
         self._hits += 1
         self._visible_misses = 0
         self._confidence = self._mean_score * (1 - 0.5**self._hits)
