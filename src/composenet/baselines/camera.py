@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from composenet.baselines.icp import Cloud, align
 from composenet.geometry.camera import back_project
-from composenet.records import Frame
+from composenet.records import FloatArray, Frame
 
 VOXEL_M = 0.05
 FAR_M = 6.0
@@ -25,16 +25,16 @@ class FrameToFrameCamera:
 
     def __init__(self) -> None:
         self._cloud = Cloud(np.zeros((0, 3)))
-        self._T_world_camera: NDArray[np.float64] | None = None
-        self._T_before_now = np.eye(4)  # the last motion
+        self._T_world_camera: FloatArray | None = None
+        self._T_before_now: FloatArray = np.eye(4)  # the last motion
 
-    def __call__(self, frame: Frame, movable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def __call__(self, frame: Frame, movable: NDArray[np.bool_]) -> FloatArray:
         """(4, 4) pose of the next frame. movable: (H, W) bool, pixels not to be trusted. Where
         too little agrees with the frame before, the camera goes on as it last moved."""
         still = ~movable & (frame.depth_m > 0) & (frame.depth_m < FAR_M)
         cloud = Cloud(back_project(frame.depth_m, frame.camera)[still], VOXEL_M)
         if self._T_world_camera is None:
-            self._T_world_camera = np.asarray(frame.T_world_camera, dtype=np.float64)
+            self._T_world_camera = frame.T_world_camera
         else:
             guesses = [self._T_before_now, np.eye(4)]
             found = align(self._cloud, cloud, guesses, RADII_M)

@@ -22,7 +22,7 @@ from composenet.baselines.association import mask_iou, projected_mask
 from composenet.baselines.camera import FrameToFrameCamera
 from composenet.baselines.icp import MIN_POINTS, Cloud, align
 from composenet.baselines.records import Cameras, InstanceMasks
-from composenet.geometry.box import OrientedBox, aabb_of_oriented, aabb_of_points
+from composenet.geometry.box import OrientedBox, aabb_of_oriented
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import apply_T, make_T
 from composenet.records import CLASS_NAMES, FloatArray, Frame, Similarity, TrackedObject, TrackState
@@ -95,12 +95,12 @@ class _Track:
     """One object: its pose since birth, its last motion and the surface it was last seen with."""
 
     def __init__(self, track_id: int, gt_id: int | None, points: FloatArray) -> None:
-        box = aabb_of_points(points)
+        low, middle, high = np.percentile(points, [5, 50, 95], axis=0)
         self.track_id, self.gt_id = track_id, gt_id
         self.votes = np.zeros(len(CLASS_NAMES))
-        self._extents_m = box.extents
+        self._extents_m = high - low  # a mask's rim shows what lies behind
         self._R: FloatArray = np.eye(3)
-        self._t: FloatArray = np.asarray(box.center)
+        self._t: FloatArray = middle
         self._step_m: FloatArray = np.zeros(3)  # motion a frame
         self._turn: FloatArray = np.eye(3)
         self._points, self._cloud = points, Cloud(np.zeros((0, 3)))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from composenet.errors import ConfigError
-from composenet.geometry.transform import apply_T
+from composenet.geometry.transform import apply_T, make_T
 from composenet.records import FloatArray
 
 REJECTION_RADII_M = (0.3, 0.1, 0.05)
@@ -29,7 +29,8 @@ MIN_INLIER_SHARE = 0.3
 """an alignment that fewer points agree with has failed"""
 MIN_POINTS = 30
 """smaller clouds are not aligned"""
-_SAME_FIT_M = 0.001  # fits this close are equal: then the earlier guess is taken
+_BETTER_FIT = 0.8  # a later guess must fit that much better: partial views fit in many places
+_RECIPROCAL_M = 0.05
 _ITERATIONS = 15
 _NEIGHBOURS = 12
 
@@ -55,18 +56,24 @@ class Cloud:
     def tree(self) -> cKDTree:
         return cKDTree(self.points)
 
-    def local(self, origin: FloatArray) -> Any:
+    @cached_property
+    def local(self) -> Any:
         """small_gicp's cloud with normals, about `origin`."""
         library = _small_gicp()
-        cloud = library.PointCloud(self.points - origin)
+        cloud = library.PointCloud(self.points - self.origin)
         library.estimate_normals(cloud, num_neighbors=_NEIGHBOURS)
         return cloud
+
+    @cached_property
+    def local_tree(self) -> Any:
+        return _small_gicp().KdTree(self.local)
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """`p_target = T_target_source @ p_source`. inlier_share: of the source's points, those
-    within INLIER_M of the target. misfit_m: mean distance to the target, at most INLIER_M."""
+    """`p_target = T_target_source @ p_source`. inlier_share: of the points of the cloud
+    that agrees better, those within INLIER_M of the other. misfit_m: their mean distance, each
+    at most INLIER_M."""
 
     T_target_source: FloatArray
     inlier_share: float
@@ -83,45 +90,61 @@ def align(
     one where two fit alike; None where the clouds are too small or too few points agree."""
     if min(len(target), len(source)) < MIN_POINTS:
         return None
-    origin = target.origin
-    clouds = target.local(origin), _small_gicp().PointCloud(source.points - origin)
-    to_local, to_input = np.eye(4), np.eye(4)
-    to_local[:3, 3], to_input[:3, 3] = -origin, origin
     best: Alignment | None = None
     for guess in guesses:
-        refined = _refined(*clouds, to_local @ guess @ to_input, radii_m)
-        found = _measured(target, source, to_input @ refined @ to_local)
-        if best is None or found.misfit_m < best.misfit_m - _SAME_FIT_M:
+        found = _measured(target, source, _refined(target, source, guess, radii_m))
+        if best is None or found.misfit_m < _BETTER_FIT * best.misfit_m:
             best = found
     return best if best is not None and best.inlier_share >= MIN_INLIER_SHARE else None
 
 
 def _refined(
-    target: Any, source: Any, T_target_source: FloatArray, radii_m: Sequence[float]
+    target: Cloud, source: Cloud, T_target_source: FloatArray, radii_m: Sequence[float]
 ) -> FloatArray:
+    """One pass for each radius, of the source's points that have a partner within it."""
     library = _small_gicp()
-    tree = library.KdTree(target)
     for radius_m in radii_m:
+        moved = apply_T(T_target_source, source.points)
+        kept = moved[_reciprocal(target, moved, radius_m)]
+        if len(kept) < MIN_POINTS:
+            continue
         result = library.align(
-            target,
-            source,
-            tree,
-            init_T_target_source=T_target_source,
+            target.local,
+            library.PointCloud(kept - target.origin),
+            target.local_tree,
             registration_type="PLANE_ICP",
             max_correspondence_distance=radius_m,
             max_iterations=_ITERATIONS,
         )
         if np.isfinite(result.T_target_source).all():
-            T_target_source = result.T_target_source
+            T_target_source = _about(result.T_target_source, target.origin) @ T_target_source
     return T_target_source
 
 
+def _about(T: FloatArray, origin: FloatArray) -> FloatArray:
+    """The motion T, told about `origin`, in the frame of `origin`."""
+    return make_T(T[:3, :3], T[:3, 3] + origin - T[:3, :3] @ origin)
+
+
+def _reciprocal(target: Cloud, moved: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+    """(N,) whether a point's nearest in the target is within the radius and has its own nearest
+    near the point. Surface that only one of the clouds shows, cut off by the image's border or by
+    what stands before it, ends at the rim of the other and would pull it over."""
+    distance, partner = target.tree.query(moved)
+    _, back = cKDTree(moved).query(target.points[partner])
+    apart = np.linalg.norm(moved[back] - moved, axis=1)
+    return (distance < radius_m) & (apart < _RECIPROCAL_M)
+
+
 def _measured(target: Cloud, source: Cloud, T_target_source: FloatArray) -> Alignment:
-    distances, _ = target.tree.query(apply_T(T_target_source, source.points))
+    """How well the cloud that shows less lies on the other."""
+    moved = apply_T(T_target_source, source.points)
+    there, _ = target.tree.query(moved)
+    back, _ = cKDTree(moved).query(target.points)
     return Alignment(
         T_target_source=T_target_source,
-        inlier_share=float((distances < INLIER_M).mean()),
-        misfit_m=float(np.minimum(distances, INLIER_M).mean()),
+        inlier_share=max(float((d < INLIER_M).mean()) for d in (there, back)),
+        misfit_m=min(float(np.minimum(d, INLIER_M).mean()) for d in (there, back)),
     )
 
 
