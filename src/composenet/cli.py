@@ -18,6 +18,7 @@ from composenet.errors import ComposenetError
 from composenet.sequences.options import SequenceOptions
 
 Variant = Literal["full", "no-compl", "no-corr", "no-corr-no-compl"]
+CameraPoses = Literal["given", "estimated"]
 Split = Literal["train", "val", "test"]
 PixelCount = Annotated[int, Field(ge=32)]
 Recording = Annotated[Path, tyro.conf.Positional]
@@ -187,6 +188,36 @@ class Eval:
 
 
 @dataclass(frozen=True)
+class Bench:
+    """Score the paper's comparison systems and our variants on the same frames, in one table."""
+
+    data: Path
+    """folder of sequences from `composenet synth`"""
+    out: Path
+    """folder for results.json and results.md; finished sequences are kept there"""
+    methods: str = "all"
+    """all, or comma-separated: f2f-gt, no-corr-no-compl, no-corr, no-compl, full"""
+    camera: CameraPoses = "given"
+    """camera poses: the recording's, or each method's own but for the first frame"""
+    weights: Path | None = None
+    """weights of our network to use instead of the shipped ones"""
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N"""
+    workers: Count = 1
+    """processes"""
+
+    def run(self) -> int:
+        """Exit code."""
+        from composenet.baselines.records import Cameras
+        from composenet.commands.bench import run_bench
+
+        options = dict(vars(self))
+        options["methods"] = [name.strip() for name in self.methods.split(",")]
+        options["camera"] = Cameras(self.camera)
+        return run_bench(options.pop("data"), options.pop("out"), **options)
+
+
+@dataclass(frozen=True)
 class View:
     """Show a result of `track`: opens its report, or its replay in the rerun viewer."""
 
@@ -208,6 +239,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": Train,
     "track": TrackCommand,
     "eval": Eval,
+    "bench": Bench,
     "view": View,
 }
 

@@ -1,0 +1,185 @@
+"""`composenet bench`: the paper's comparison systems and our variants in one table."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from composenet.baselines.ours import OwnCamera, no_masks
+from composenet.baselines.records import Cameras, Row
+from composenet.baselines.registry import ROWS
+from composenet.baselines.run import run_system
+from composenet.baselines.start_shift import start_at_true_centres
+from composenet.commands.evaluate import (
+    VARIANTS,
+    Job,
+    Outcome,
+    _aggregated,
+    _score_all,
+    moved_truth,
+    score_sequence,
+    sequence_folders,
+    tall_table,
+)
+from composenet.commands.score_cache import ScoreCache
+from composenet.errors import DataError
+from composenet.metrics.evaluate import DatasetScores, SequenceScores, evaluate_sequence
+from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import read_truth
+
+METHODS = (*ROWS, *reversed(VARIANTS))
+"""Rows of the table, in its order."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What all rows share. weights: of our own network."""
+
+    cameras: Cameras
+    weights: Path | None
+    device: str
+
+
+def run_bench(
+    data: Path,
+    out: Path,
+    *,
+    methods: Sequence[str],
+    camera: Cameras,
+    weights: Path | None,
+    device: str,
+    workers: int,
+) -> int:
+    """The command. Finished sequences are kept in `out`, so that a run can be resumed. A sequence
+    that a method fails on is named in the table and makes the exit code 1."""
+    console = Console()
+    names = chosen_methods(methods)
+    folders = sequence_folders(data)
+    out.mkdir(parents=True, exist_ok=True)
+    asked = _checked(names, Asked(camera, weights, device))
+    outcomes: dict[Job, Outcome] = {}
+    for name in names:
+        made_of = _weights_of(name, asked)
+        cache = ScoreCache(out / "sequences", made_of or Path(os.devnull), camera, device)
+        work = partial(score_method, asked=asked)
+        outcomes |= _score_all(
+            [(name, folder) for folder in folders], work, cache, workers, console
+        )
+    failed = {job: outcome for job, outcome in outcomes.items() if isinstance(outcome, str)}
+    lines = [f"not scored: {job[1].name} ({job[0]}): {reason}" for job, reason in failed.items()]
+    scores = _aggregated(outcomes)
+    if scores:
+        info = _origin(data, names, asked)
+        write_results(out / "results.json", info, scores)
+        (out / "results.md").write_text(markdown(info, scores, camera, lines))
+        for section in sections(scores)[:2]:
+            console.print(tall_table(section))
+        paths = f"{out / 'results.json'} and {out / 'results.md'}"
+        console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
+    for line in lines:
+        print(f"composenet: {line}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def chosen_methods(asked: Sequence[str]) -> list[str]:
+    """The methods by name, in the table's order; `all` is every one. Raises DataError."""
+    unknown = sorted(set(asked) - {*METHODS, "all"})
+    if unknown or not asked:
+        known = ", ".join(("all", *METHODS))
+        raise DataError(f"--methods {unknown[0] if unknown else ''!r}: expected some of {known}")
+    return [name for name in METHODS if "all" in asked or name in asked]
+
+
+def score_method(folder: Path, name: str, *, asked: Asked) -> SequenceScores:
+    """One row over one sequence."""
+    if name in ROWS:
+        row = ROWS[name]
+        return score_system(folder, row, asked.cameras, shifted=True)
+    assert asked.weights is not None
+    if asked.cameras is Cameras.GIVEN:
+        return score_sequence(
+            folder, name, weights=asked.weights, device=asked.device, offline=False
+        )
+    return score_system(folder, _own_row(name, asked), asked.cameras, shifted=False)
+
+
+def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> SequenceScores:
+    """Track one sequence and score the tracks. shifted: they begin at the true centres."""
+    sequence = open_sequence(folder)
+    run = run_system(row.make(cameras), row.masks(folder), sequence, cameras)
+    truth = moved_truth(read_truth(folder), sequence.T_level_source)
+    # Frames that could not be read count as seen by nobody.
+    tracked = [run.tracked.get(index, ()) for index in range(len(truth.frames))]
+    if shifted:
+        tracked = start_at_true_centres(truth, tracked)
+    return evaluate_sequence(truth, tracked, seconds_per_frame=run.seconds)
+
+
+def markdown(
+    info: RunInfo, scores: Mapping[str, DatasetScores], cameras: Cameras, failures: Sequence[str]
+) -> str:
+    """The tables, what each row was told, and what could not be scored."""
+    told = [f"- {name}: {ROWS[name].told}." for name in scores if name in ROWS]
+    notes = [
+        f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
+        "",
+    ]
+    if told:
+        notes += [
+            "Rows that see surfaces only begin every track at the true centre of its object (its "
+            "first frame is moved there, and the estimated motion carries it on). The ComPoseNet "
+            f"rows ({', '.join(VARIANTS)}) are not helped so, and are told no ground truth. "
+            "The others are told:",
+            "",
+            *told,
+            "",
+        ]
+    return "\n".join([to_markdown(info, scores), *notes, *(f"- {line}" for line in failures), ""])
+
+
+def _checked(names: Sequence[str], asked: Asked) -> Asked:
+    """With the weights filled in where our own network runs; what is wrong is said once."""
+    if not set(names) & set(VARIANTS):
+        return Asked(asked.cameras, None, asked.device)
+    from composenet.network.weights import default_weights
+    from composenet.pipeline import load_tracker
+
+    weights = asked.weights or default_weights()
+    load_tracker(weights, device=asked.device)
+    return Asked(asked.cameras, weights, asked.device)
+
+
+def _weights_of(name: str, asked: Asked) -> Path | None:
+    """The file that a row's networks are in, if it has any."""
+    if name in VARIANTS:
+        return asked.weights
+    weights = ROWS[name].weights
+    return weights() if weights else None
+
+
+def _own_row(name: str, asked: Asked) -> Row:
+    """One of our variants, tracking its own camera."""
+    import torch
+
+    from composenet.pipeline import load_tracker
+
+    torch.set_num_threads(1)
+    tracker = load_tracker(asked.weights, device=asked.device, **VARIANTS[name])
+    return Row(lambda _: OwnCamera(tracker), lambda _: no_masks, told="nothing")
+
+
+def _origin(data: Path, names: Sequence[str], asked: Asked) -> RunInfo:
+    command = " ".join(["composenet", *sys.argv[1:]])
+    made_with = ""
+    if asked.weights is not None:
+        from composenet.network.weights import weights_id
+
+        made_with = weights_id(asked.weights)
+    return RunInfo(data.resolve().name, 0, command, made_with)
