@@ -77,10 +77,12 @@ class Oracle:
         self.t = torch.from_numpy(R.T @ (block.center - low)).float()
         self.half = torch.from_numpy(block.extents_m / 2).float()
         self.scale_m, self.collapsed = block.scale_m, collapsed
+        self.told: list[torch.Tensor] = []
 
     def object_fields(
-        self, features: torch.Tensor, batch: VolumeBatch, crops: CropBatch
+        self, fields: VoxelFields, batch: VolumeBatch, crops: CropBatch, classes: torch.Tensor
     ) -> ObjectFields:
+        self.told.append(classes)
         m = len(crops.center)
         points = crops.points(CELLS)
         inside = (((points - self.t) @ self.R).abs() <= self.half).all(dim=-1)
@@ -95,8 +97,6 @@ class Oracle:
             occupancy=torch.where(inside, 8.0, -8.0).view(m, CELLS, CELLS, CELLS),
             nocs=nocs.transpose(1, 2).reshape(half),
             surface=surface.view(m, CELLS, CELLS, CELLS),
-            quality=torch.full((m,), 4.0),
-            class_logits=torch.zeros(m, 10),
             heading_logits=torch.zeros(m, HEADING_BINS),
         )
 
@@ -143,8 +143,7 @@ def test_pose_size_and_box_of_a_known_block(quarter: int, shift_m: float) -> Non
     # The corners of the turned block lie between cell centres.
     np.testing.assert_allclose(found.box.extents, BLOCK.bounds.extents, atol=2 * step)
     assert iou(found.box, BLOCK.bounds) > 0.85
-    quality = 1 / (1 + np.exp(-4.0))
-    assert found.score == pytest.approx(np.sqrt(0.9 * quality) * 0.82, rel=1e-4)
+    assert found.score == pytest.approx(0.9 * 0.82, rel=1e-5)
 
 
 def test_points_lie_in_the_block_and_correspond() -> None:
@@ -209,7 +208,26 @@ def test_no_proposals_no_objects_and_empty_ones_are_dropped() -> None:
 
 
 def test_the_strongest_comes_first() -> None:
+    """Of being an object and of its likeliest class."""
+    volume, oracle = volume_of(0), Oracle(BLOCK, volume_of(0))
+    proposals = proposals_of(volume, BLOCK, BLOCK)
+    weak_first = replace(proposals, score=torch.tensor([0.3, 0.8]))
+    first, second = estimated(volume, oracle, weak_first)
+    assert (first.score, second.score) == pytest.approx((0.8 * 0.82, 0.3 * 0.82))
+    unsure = torch.full((1, 10), 0.05).index_fill(1, torch.tensor([3]), 0.55)
+    unsure_first = replace(
+        proposals,
+        score=torch.tensor([0.8, 0.7]),
+        class_probabilities=torch.cat([unsure, proposals.class_probabilities[1:]]),
+    )
+    first, second = estimated(volume, oracle, unsure_first)
+    assert [e.class_id for e in (first, second)] == [SOFA, 3]
+    assert (first.score, second.score) == pytest.approx((0.7 * 0.82, 0.8 * 0.55))
+
+
+def test_classes_are_the_detectors_and_the_network_is_told_them() -> None:
     volume = volume_of(0)
-    weak_first = replace(proposals_of(volume, BLOCK, BLOCK), score=torch.tensor([0.3, 0.8]))
-    first, second = estimated(volume, Oracle(BLOCK, volume), weak_first)
-    assert first.score > second.score
+    proposals, oracle = proposals_of(volume, BLOCK), Oracle(BLOCK, volume)
+    (found,) = estimated(volume, oracle, proposals)
+    np.testing.assert_allclose(found.class_probabilities, proposals.class_probabilities[0])
+    assert torch.equal(oracle.told[0], proposals.class_probabilities)

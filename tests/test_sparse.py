@@ -89,7 +89,7 @@ def test_down_and_up_equal_strided_dense_convolutions():
 
 def test_backbone_is_equivariant_to_shifts_by_its_stride():
     torch.manual_seed(0)
-    net = Backbone(3, (4, 6, 8, 8, 8)).eval()
+    net = Backbone(3, (4, 6, 8, 8, 8), (1, 1, 2, 1, 2)).eval()
     coords = random_sites(300, extent=32)
     features = torch.randn(len(coords), 3)
     shifted = coords + torch.tensor([0, 16, 32, 16])
@@ -100,7 +100,7 @@ def test_backbone_is_equivariant_to_shifts_by_its_stride():
 
 def test_batches_do_not_mix():
     torch.manual_seed(0)
-    net = Backbone(3, (4, 6, 8, 8, 8)).eval()
+    net = Backbone(3, (4, 6, 8, 8, 8), (1, 1, 2, 1, 2)).eval()
     coords = random_sites(300, extent=20)
     features = torch.randn(len(coords), 3)
     both = net(features, build_pyramid(coords, 2, 5))

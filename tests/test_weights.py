@@ -90,9 +90,15 @@ def test_a_damaged_configuration(tmp_path: Path, tiny_weights: Path, config: str
 
 
 def test_tensors_of_another_network(tmp_path: Path, tiny_weights: Path) -> None:
-    wider = replace(TINY, network=replace(TINY.network, backbone_channels=(8, 8, 8, 8, 8)))
-    text = json.dumps(to_dict(wider))
-    assert "size mismatch" in refused(rewritten(tiny_weights, tmp_path / "w", config=text))
+    for change, reason in (
+        ({"backbone_channels": (8, 8, 8, 8, 8)}, "size mismatch"),
+        ({"backbone_blocks": (1, 1, 1, 1, 1)}, "Unexpected key"),
+        ({"backbone_blocks": (1, 1, 2, 2, 3)}, "Missing key"),
+        ({"backbone_blocks": (1, 1, 2)}, "argument 2 is shorter"),
+    ):
+        other = replace(TINY, network=replace(TINY.network, **change))
+        text = json.dumps(to_dict(other))
+        assert reason in refused(rewritten(tiny_weights, tmp_path / "w", config=text))
     tensors, metadata = load_file(tiny_weights), metadata_of(tiny_weights)
     missing = {k: v for k, v in tensors.items() if k != "backbone.stem.weight"}
     save_file(missing, tmp_path / "w", metadata)
@@ -104,8 +110,10 @@ def test_tensors_of_another_network(tmp_path: Path, tiny_weights: Path) -> None:
 def test_tracker_options(tiny_weights: Path) -> None:
     tracker = load_tracker(tiny_weights, device="cpu", use_completion=False)
     assert not tracker.config.tracking.use_completion and tracker.config.volume == TINY.volume
-    with pytest.raises(ConfigError, match="does not fit"):
-        load_tracker(tiny_weights, device="cpu", config=Config())
+    deeper = replace(TINY, network=replace(TINY.network, backbone_blocks=(1, 1, 2, 2, 3)))
+    for config in (Config(), deeper):
+        with pytest.raises(ConfigError, match="does not fit"):
+            load_tracker(tiny_weights, device="cpu", config=config)
     for wrong in ({"box_iou_gate": 7.0}, {"colour": True}):
         with pytest.raises(ConfigError, match=next(iter(wrong))) as caught:
             load_tracker(tiny_weights, device="cpu", **wrong)
@@ -130,4 +138,5 @@ def test_a_tracker_starts_anew(tiny_weights: Path) -> None:
         assert [o.track_id for o in a.objects] == [o.track_id for o in b.objects]
         for p, q in zip(a.estimates, b.estimates, strict=True):
             np.testing.assert_array_equal(p.canonical, q.canonical)
-    assert set(first[0].timings_ms) <= {"volume", "backbone", "proposals", "objects", "association"}
+    stages = ["volume", "backbone", "proposals", "boxes", "objects", "association"]
+    assert list(first[0].timings_ms) == stages
