@@ -1,9 +1,9 @@
-"""Mean shift against scikit-learn's; proposals from fields built by hand."""
+"""Mean shift against scikit-learn's; proposals from fields built by hand; the second look."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,9 +11,14 @@ import torch
 from sklearn.cluster import MeanShift
 
 from composenet.config import DetectionConfig
-from composenet.detection import mean_shift, propose
+from composenet.detection import BOX_LIMITS_M, Proposals, mean_shift, propose, second_look
+from composenet.geometry.box import iou
 from composenet.network.batch import VolumeBatch
+from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
+from composenet.network.model import ComposeNet
+from composenet.records import Box
+from conftest import TINY
 
 CONFIG = DetectionConfig()
 VOXEL_M = 0.05
@@ -46,8 +51,10 @@ def test_mean_shift_equals_scikit_learn(seed: int, count: int) -> None:
 
 def test_coarse_bins_find_the_same_objects() -> None:
     points = blobs(4, 5)
-    fine, coarse = (mean_shift(points, 8.0, 20, bin_size=size)[1] for size in (0.05, 1.0))
-    assert partition(fine.tolist()) == partition(coarse.tolist())
+    fine = mean_shift(points, 8.0, 20, bin_size=0.05)[1]
+    for bins in ({"bin_size": 1.0}, {}):
+        coarse = mean_shift(points, 8.0, 20, **bins)[1]
+        assert partition(fine.tolist()) == partition(coarse.tolist())
 
 
 def test_order_and_place_do_not_matter() -> None:
@@ -159,3 +166,150 @@ def test_no_more_than_asked_for_and_the_strongest_of_them() -> None:
     assert found.class_probabilities.argmax(dim=1).tolist() == [CHAIR.class_id, TABLE.class_id]
     (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), DetectionConfig(min_score=0.85))
     assert len(found.center) == 2
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A proposal and what the second look makes of it: moved along x, of another class.
+
+    x, move, side: metres; all are cubes at y = z = 0.
+    """
+
+    x: float
+    objectness: float
+    quality: float
+    class_id: int = 4
+    move: float = 0.0
+    side: float = 1.0
+
+
+class Looker:
+    """In place of the network: corrects boxes as it is told. frames: one list a frame."""
+
+    def __init__(self, frames: Sequence[Sequence[Seen]]) -> None:
+        self.frames = frames
+        self.extents: list[torch.Tensor] = []
+
+    def box_fields(
+        self,
+        fields: VoxelFields,
+        batch: VolumeBatch,
+        center: torch.Tensor,
+        extents: torch.Tensor,
+        frame: torch.Tensor,
+    ) -> BoxFields:
+        seen = [self.frames[index][row] for row, index in enumerate(frame.tolist())]
+        self.extents.append(extents)
+        move = torch.tensor([[s.move, 0, 0] for s in seen]).reshape(-1, 3)
+        classes = torch.tensor([s.class_id for s in seen], dtype=torch.long)
+        return BoxFields(
+            center=center + move,
+            extents=extents,
+            quality=torch.tensor([s.quality for s in seen]).logit(),
+            class_logits=40.0 * torch.nn.functional.one_hot(classes, 10),
+        )
+
+
+def looked(
+    frames: Sequence[Sequence[Seen]], config: DetectionConfig = CONFIG
+) -> tuple[Proposals, ...]:
+    proposals = [
+        Proposals(
+            center=torch.tensor([[s.x, 0, 0] for s in seen]).reshape(-1, 3),
+            extents=torch.tensor([[s.side] * 3 for s in seen]).reshape(-1, 3),
+            class_probabilities=torch.full((len(seen), 10), 0.1),
+            score=torch.tensor([s.objectness for s in seen]),
+            voxels=torch.arange(len(seen)) + 50,
+        )
+        for seen in frames
+    ]
+    fields, batch = field_of([], frames=len(frames))
+    return second_look(Looker(frames), fields, batch, tuple(proposals), config)  # type: ignore[arg-type]
+
+
+def test_a_second_look_orders_by_objectness_and_quality() -> None:
+    seen = [Seen(0, 0.9, 0.2), Seen(4, 0.8, 0.9, 8, move=0.1), Seen(8, 0.6, 0.8, 7)]
+    (found,) = looked([seen])
+    np.testing.assert_allclose(found.score, np.sqrt([0.72, 0.48, 0.18]), rtol=1e-5)
+    np.testing.assert_allclose(found.center[:, 0], [4.1, 8, 0])  # corrected
+    assert found.class_probabilities.argmax(dim=1).tolist() == [8, 7, 4]
+    np.testing.assert_allclose(found.class_probabilities.sum(dim=1), 1, rtol=1e-6)
+    assert found.voxels.tolist() == [51, 52, 50]
+
+
+def test_a_second_look_drops_the_weak() -> None:
+    seen = [Seen(0, 0.9, 0.2), Seen(4, 0.8, 0.9), Seen(8, 0.6, 0.8)]
+    (found,) = looked([seen], DetectionConfig(min_score=0.5))
+    assert found.center[:, 0].tolist() == [4, 8]
+    (found,) = looked([seen], DetectionConfig(min_score=1.0))
+    assert found.center.shape == (0, 3) and found.class_probabilities.shape == (0, 10)
+
+
+@pytest.mark.parametrize("class_id", [4, 8])
+@pytest.mark.parametrize(
+    ("gap", "kept"),
+    # IoU of unit cubes that far apart: 0.538, 0.481, 0
+    [(0.3, 1), (0.35, 2), (1.5, 2)],
+)
+def test_one_box_a_place_whatever_the_classes(class_id: int, gap: float, kept: int) -> None:
+    weak, strong = Seen(0, 0.7, 0.7, 4), Seen(gap, 0.9, 0.9, class_id)
+    (found,) = looked([[weak, strong]])
+    np.testing.assert_allclose(found.center[:, 0], [gap, 0][:kept])
+    # The corrected boxes count: far apart as proposals, in one place afterwards.
+    (found,) = looked([[Seen(-2, 0.7, 0.7, 4, move=2), Seen(gap + 3, 0.9, 0.9, class_id, -3)]])
+    np.testing.assert_allclose(found.center[:, 0], [gap, 0][:kept], atol=1e-6)
+
+
+def test_what_was_dropped_drops_nothing() -> None:
+    """Of a chain in which neighbours overlap the first and the third stay."""
+    (found,) = looked([[Seen(0.4, 0.7, 0.7), Seen(0.2, 0.8, 0.8), Seen(0, 0.9, 0.9)]])
+    np.testing.assert_allclose(found.center[:, 0], [0, 0.4])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_duplicates_against_a_slow_loop(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    seen = [
+        Seen(*rng.uniform((0, 0.3, 0.3), (4, 1, 1)).tolist(), int(rng.integers(10)))
+        for _ in range(15)
+    ]
+    kept: list[Seen] = []
+    for one in sorted(seen, key=lambda s: -s.objectness * s.quality):
+        cube = Box(np.array([one.x, 0, 0]), np.ones(3))
+        others = [Box(np.array([s.x, 0, 0]), np.ones(3)) for s in kept]
+        if all(iou(cube, other) <= CONFIG.duplicate_iou for other in others):
+            kept.append(one)
+    (found,) = looked([seen], DetectionConfig(min_score=0.0))
+    np.testing.assert_allclose(found.center[:, 0], [s.x for s in kept], rtol=1e-6)
+    assert found.class_probabilities.argmax(dim=1).tolist() == [s.class_id for s in kept]
+    assert 1 < len(kept) < 15
+
+
+def test_a_second_look_at_each_frame_for_itself() -> None:
+    one, other = Seen(0, 0.9, 0.9, 4), Seen(0, 0.8, 0.8, 8)  # the same place
+    first, second, third = looked([[one], [], [other]])
+    assert first.class_probabilities.argmax(dim=1).tolist() == [4]
+    assert third.class_probabilities.argmax(dim=1).tolist() == [8]
+    assert second.center.shape == second.extents.shape == (0, 3)
+    assert second.score.shape == second.voxels.shape == (0,)
+
+
+def test_boxes_are_as_small_and_large_as_furniture() -> None:
+    """The head learned on those."""
+    low, high = BOX_LIMITS_M
+    (found,) = looked([[Seen(0, 0.9, 0.9, side=0.01), Seen(20, 0.8, 0.8, side=30.0)]])
+    np.testing.assert_allclose(found.extents, np.repeat([[low], [high]], 3, axis=1))
+
+
+def test_a_second_look_of_the_network_itself() -> None:
+    torch.manual_seed(0)
+    network = ComposeNet(TINY.network, TINY.volume).eval()
+    fields, batch = field_of([CHAIR, replace(TABLE, voxels=300)], frames=2)
+    features = torch.randn(len(batch.coords), network.backbone.c_out)
+    fields = VoxelFields(**{**vars(fields), "features": features})
+    voted = propose(fields, batch, CONFIG)
+    found, none = second_look(network, fields, batch, voted, DetectionConfig(min_score=0.0))
+    assert len(found.center) == 2 and len(none.center) == 0
+    order = [voted[0].voxels.tolist().index(n) for n in found.voxels.tolist()]
+    gap = (found.center - voted[0].center[order]).abs() / voted[0].extents[order]
+    assert 0 < gap.max() < 0.1  # it has learned nothing yet
