@@ -28,8 +28,8 @@ def projected_mask(
 
 def mask_iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(A, B) overlap of masks (A, H, W) and (B, H, W); 0 where both are empty."""
-    flat_a = a.reshape(len(a), -1).astype(np.float32)
-    flat_b = b.reshape(len(b), -1).astype(np.float32)
+    flat_a = a.reshape(len(a), np.prod(a.shape[1:])).astype(np.float32)
+    flat_b = b.reshape(len(b), np.prod(b.shape[1:])).astype(np.float32)
     shared = (flat_a @ flat_b.T).astype(np.float64)
     union = flat_a.sum(axis=1)[:, None] + flat_b.sum(axis=1) - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)

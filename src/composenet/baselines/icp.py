@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from composenet.errors import ConfigError
-from composenet.geometry.transform import apply_T, make_T
+from composenet.geometry.transform import apply_T, inverse_T, make_T
 from composenet.records import FloatArray
 
 REJECTION_RADII_M = (0.3, 0.1, 0.05)
@@ -38,7 +38,7 @@ _NEIGHBOURS = 12
 class Cloud:
     """Points of one surface, thinned to one a voxel. points: (N, 3) float64, metres."""
 
-    def __init__(self, points: FloatArray, voxel_size_m: float = 0.02) -> None:
+    def __init__(self, points: FloatArray, voxel_size_m: float = 0.03) -> None:
         self._origin = points.mean(axis=0) if len(points) else np.zeros(3)
         local = np.asarray(points - self._origin, dtype=np.float64)
         sampled = _small_gicp().voxelgrid_sampling(local, voxel_size_m) if len(points) else None
@@ -54,7 +54,7 @@ class Cloud:
 
     @cached_property
     def tree(self) -> cKDTree:
-        return cKDTree(self.points)
+        return cKDTree(self.points, balanced_tree=False, compact_nodes=False)
 
     @cached_property
     def local(self) -> Any:
@@ -104,10 +104,10 @@ def _refined(
     """One pass for each radius, of the source's points that have a partner within it."""
     library = _small_gicp()
     for radius_m in radii_m:
-        moved = apply_T(T_target_source, source.points)
-        kept = moved[_reciprocal(target, moved, radius_m)]
-        if len(kept) < MIN_POINTS:
+        paired = _reciprocal(target, source, T_target_source, radius_m)
+        if paired.sum() < MIN_POINTS:
             continue
+        kept = apply_T(T_target_source, source.points[paired])
         result = library.align(
             target.local,
             library.PointCloud(kept - target.origin),
@@ -126,25 +126,35 @@ def _about(T: FloatArray, origin: FloatArray) -> FloatArray:
     return make_T(T[:3, :3], T[:3, 3] + origin - T[:3, :3] @ origin)
 
 
-def _reciprocal(target: Cloud, moved: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
-    """(N,) whether a point's nearest in the target is within the radius and has its own nearest
-    near the point. Surface that only one of the clouds shows, cut off by the image's border or by
-    what stands before it, ends at the rim of the other and would pull it over."""
-    distance, partner = target.tree.query(moved)
-    _, back = cKDTree(moved).query(target.points[partner])
-    apart = np.linalg.norm(moved[back] - moved, axis=1)
-    return (distance < radius_m) & (apart < _RECIPROCAL_M)
+def _reciprocal(
+    target: Cloud, source: Cloud, T_target_source: FloatArray, radius_m: float
+) -> NDArray[np.bool_]:
+    """(N,) whether a source point's nearest in the target is within the radius and has its own
+    nearest near that point. Surface that only one of the clouds shows, cut off by the image's
+    border or by what stands before it, ends at the rim of the other and would pull it over."""
+    moved = apply_T(T_target_source, source.points)
+    distance, partner = target.tree.query(moved, distance_upper_bound=radius_m)
+    found = np.flatnonzero(np.isfinite(distance))  # the others' partner is no index
+    partners = apply_T(inverse_T(T_target_source), target.points[partner[found]])
+    _, back = source.tree.query(partners)
+    apart = np.linalg.norm(source.points[back] - source.points[found], axis=1)
+    kept = np.zeros(len(source), dtype=bool)
+    kept[found[apart < _RECIPROCAL_M]] = True
+    return kept
 
 
 def _measured(target: Cloud, source: Cloud, T_target_source: FloatArray) -> Alignment:
     """How well the cloud that shows less lies on the other."""
     moved = apply_T(T_target_source, source.points)
-    there, _ = target.tree.query(moved)
-    back, _ = cKDTree(moved).query(target.points)
+    moved_back = apply_T(inverse_T(T_target_source), target.points)
+    distances = [
+        np.minimum(tree.query(points, distance_upper_bound=INLIER_M)[0], INLIER_M)
+        for tree, points in ((target.tree, moved), (source.tree, moved_back))
+    ]
     return Alignment(
         T_target_source=T_target_source,
-        inlier_share=max(float((d < INLIER_M).mean()) for d in (there, back)),
-        misfit_m=min(float(np.minimum(d, INLIER_M).mean()) for d in (there, back)),
+        inlier_share=max(float((d < INLIER_M).mean()) for d in distances),
+        misfit_m=min(float(d.mean()) for d in distances),
     )
 
 
