@@ -1,7 +1,7 @@
 """Camera poses from frame to frame, for systems that are not given them.
 
 Point-to-plane ICP of everything that is no furniture against the frame before, begun from the
-last motion and from rest.
+last motion, from rest and from turns to either side (hands turn a camera fast).
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from composenet.baselines.icp import Cloud, align
 from composenet.geometry.camera import back_project
+from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import FloatArray, Frame
 
 VOXEL_M = 0.05
 FAR_M = 6.0
 """depth beyond this is too noisy to align"""
-RADII_M = (1.0, 0.3, 0.1, 0.05)
-"""a turn of 10 degrees moves a wall 4 m away by 0.7 m"""
+RADII_M = (0.5, 0.2, 0.1, 0.05)
+TURNS_DEG = (10.0, -10.0, 20.0, -20.0)
+"""first guesses, about the vertical; 10 degrees move a wall 4 m away by 0.7 m"""
 
 
 class FrameToFrameCamera:
@@ -36,7 +38,9 @@ class FrameToFrameCamera:
         if self._T_world_camera is None:
             self._T_world_camera = frame.T_world_camera
         else:
-            guesses = [self._T_before_now, np.eye(4)]
+            up = self._T_world_camera[:3, :3]
+            turns = [make_T(up.T @ rotation_z(a) @ up, np.zeros(3)) for a in np.radians(TURNS_DEG)]
+            guesses = [self._T_before_now, np.eye(4), *turns]
             found = align(self._cloud, cloud, guesses, RADII_M)
             if found is not None:
                 self._T_before_now = found.T_target_source
