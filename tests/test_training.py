@@ -26,27 +26,12 @@ from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig
 from composenet.training.data import SceneSource, SceneStream, crop_view, samples_of_scene
 from composenet.training.disk import disk_scene
-from composenet.training.loop import RunOptions, Trainer, learning_rate, train
-from composenet.training.processes import Group, StopRequest
-from composenet.training.targets import TrainingBatch, collate_samples
+from composenet.training.loop import Trainer, learning_rate, train
+from composenet.training.processes import StopRequest
 from conftest import TINY
+from training_cases import ALONE, CONFIG, batch_of, options
 
-CONFIG = TrainingConfig(
-    model=TINY, frames_per_scene=3, max_boxes=3, rate_warmup_steps=1, joint_from_step=2
-)
-ALONE = Group(0, 1, torch.device("cpu"))
 COMMAND = [sys.executable, "-m", "composenet", "train", "--device", "cpu", "--threads", "1"]
-
-
-def options(out: Path, **changes: object) -> RunOptions:
-    plain = RunOptions(out, 5.0, max_steps=3, workers=0, threads=1, validation_scenes=1)
-    return replace(plain, device="cpu", **changes)
-
-
-def batch_of(recordings: Path, config: TrainingConfig = CONFIG) -> TrainingBatch:
-    rng = np.random.default_rng(0)
-    samples = [next(samples_of_scene(disk_scene(recordings, i), config, rng)) for i in range(2)]
-    return collate_samples(samples)
 
 
 def test_one_batch_is_learned(recordings: Path, tmp_path: Path) -> None:

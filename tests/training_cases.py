@@ -1,16 +1,32 @@
-"""A block without symmetry as ground truth of a small hand-made batch."""
+"""What the tests of training share: a hand-made batch of one block without symmetry, runs of a
+tiny network."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
+import torch
 
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import Box, ObjectFrameTruth, ObjectTruth, Symmetry
+from composenet.training.config import TrainingConfig
+from composenet.training.data import samples_of_scene
+from composenet.training.disk import disk_scene
+from composenet.training.loop import RunOptions
+from composenet.training.processes import Group
 from composenet.training.targets import TrainingBatch, collate_samples, make_sample
 from composenet.volume.voxels import FEATURE_NAMES, Volume
+from conftest import TINY
 
 SIZE_M = 0.05
 EXTENTS = np.array([0.6, 0.9, 1.2])
+
+CONFIG = TrainingConfig(
+    model=TINY, frames_per_scene=3, max_crops=3, rate_warmup_steps=1, joint_from_step=2
+)
+ALONE = Group(0, 1, torch.device("cpu"))
 
 
 def bumpy_block() -> np.ndarray:
@@ -51,3 +67,16 @@ def one_object(symmetry: Symmetry = Symmetry.NONE, yaw: float = 0.4) -> Training
 def no_object() -> TrainingBatch:
     """Two frames in which nothing is."""
     return collate_samples([make_sample(volume_of(), [], [])] * 2)
+
+
+def options(out: Path, **changes: object) -> RunOptions:
+    """A run of three steps in this process."""
+    plain = RunOptions(out, 5.0, max_steps=3, workers=0, threads=1, validation_scenes=1)
+    return replace(plain, device="cpu", **changes)
+
+
+def batch_of(recordings: Path, config: TrainingConfig = CONFIG) -> TrainingBatch:
+    """A frame of each of the recordings."""
+    rng = np.random.default_rng(0)
+    samples = [next(samples_of_scene(disk_scene(recordings, i), config, rng)) for i in range(2)]
+    return collate_samples(samples)

@@ -1,0 +1,80 @@
+"""One training step: which parts of the network learn, and what they are taught."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from composenet.training.loop import Trainer
+from composenet.training.losses import OBJECT_LOSSES
+from training_cases import ALONE, CONFIG, batch_of, options
+
+
+def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:
+    return {name: value.clone() for name, value in trainer.module.network.state_dict().items()}
+
+
+def changed(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> dict[str, set[str]]:
+    """Names of the parameters and statistics that are others now, by part of the network."""
+    parts: dict[str, set[str]] = {"backbone": set(), "detection": set(), "boxes": set()}
+    for name, value in before.items():
+        part, own = name.split(".", 1)
+        if not torch.equal(value, after[name]):
+            parts.setdefault(part, set()).add(own)
+    return parts
+
+
+DETECTOR_LOSSES = {"objectness", "center", "extent", "class", "box", "box_class", "quality"}
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_only_the_object_network_learns(recordings: Path, tmp_path: Path, joint: bool) -> None:
+    config = replace(CONFIG, parts="objects", joint_from_step=0 if joint else 9)
+    trainer = Trainer(config, options(tmp_path), ALONE)
+    before, batch = state_of(trainer), batch_of(recordings)
+    values = [trainer.step(batch, 1e-2) for _ in range(2)]
+    parts = changed(before, state_of(trainer))
+    assert not parts["backbone"] and not parts["detection"] and not parts["boxes"]
+    learned = {name for name, _ in trainer.module.network.objects.named_parameters()}
+    assert learned < parts["objects"]  # and the running statistics
+    assert not DETECTOR_LOSSES & set(values[0])
+    assert (set(OBJECT_LOSSES) <= set(values[0])) == joint
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_only_the_detector_learns(recordings: Path, tmp_path: Path, joint: bool) -> None:
+    config = replace(CONFIG, parts="detector", joint_from_step=0 if joint else 9)
+    trainer = Trainer(config, options(tmp_path), ALONE)
+    before, batch = state_of(trainer), batch_of(recordings)
+    values = [trainer.step(batch, 1e-2) for _ in range(2)]
+    parts = changed(before, state_of(trainer))
+    assert "objects" not in parts
+    for part in ("backbone", "detection", "boxes"):
+        learned = {name for name, _ in getattr(trainer.module.network, part).named_parameters()}
+        assert learned <= parts[part], part
+    assert set(values[0]) == DETECTOR_LOSSES | {"total", "gradient_norm"}
+
+
+def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
+    trainer = Trainer(replace(CONFIG, joint_from_step=0), options(tmp_path), ALONE)
+    before, batch = state_of(trainer), batch_of(recordings)
+    values = [trainer.step(batch, 1e-2) for _ in range(2)]
+    parts = changed(before, state_of(trainer))
+    for part, names in parts.items():
+        learned = {name for name, _ in getattr(trainer.module.network, part).named_parameters()}
+        assert learned <= names, part
+    assert len(parts) == 4 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
+
+
+@pytest.mark.parametrize("parts", ["all", "detector", "objects"])
+def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, parts: str) -> None:
+    config = replace(CONFIG, parts=parts, joint_from_step=1, min_visible_pixels=10**6)
+    trainer, batch = Trainer(config, options(tmp_path), ALONE), batch_of(recordings, config)
+    assert len(batch.frame) == 0
+    values = [trainer.step(batch, 1e-2) for _ in range(2)]
+    assert all(np.isfinite(list(v.values())).all() for v in values)
+    assert all(torch.isfinite(value).all() for value in state_of(trainer).values())
