@@ -5,18 +5,18 @@ Iterative Closest Point algorithm, given 2D detection"). With true masks and ide
 F2F-GT; with predicted masks, associated by their overlap after warping, F2F-MaskRCNN. The paper
 gives no parameters; ours:
 
-- point-to-plane ICP of clouds thinned to 2 cm, begun from rest, from constant velocity and from
-  the shift of the visible points; the best fit wins, and rest where it fits as well;
-- correspondences are rejected beyond 30, then 10, then 5 cm; an alignment with under 30 % of the
-  points within 5 cm has failed, and the object goes on as it last moved;
-- an object that was out of sight is aligned with the cloud it was last seen with, having rested
-  meanwhile; predicted masks find a track again for 10 frames.
+- point-to-plane ICP of clouds thinned to 3 cm, begun from rest, from constant velocity and from
+  the shift of the visible points; the best fit wins, and the earlier one where two fit alike;
+- correspondences are rejected where they are not mutual and beyond 30, then 10, then 5 cm;
+- an alignment that under 30 % of the points agree with, or that turns by over 45 degrees, has
+  failed, and the object goes on as it last moved;
+- an object that comes back is aligned with the cloud it was last seen with, constant velocity
+  holding for three frames; predicted masks find a track again for ten.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from composenet.baselines.association import mask_iou, projected_mask
 from composenet.baselines.camera import FrameToFrameCamera
@@ -32,6 +32,8 @@ MASK_IOU_GATE = 0.2
 """a warped and a new mask that overlap less are two objects"""
 MIN_BIRTH_SCORE = 0.5
 """a weaker mask may continue a track but starts none"""
+GOES_ON_FRAMES = 3
+"""an object out of sight goes on as it last moved for so long, then it rests"""
 END_AFTER_FRAMES = 10
 """a track without true identity that is unseen for longer has ended"""
 
@@ -99,9 +101,9 @@ class _Track:
         self.track_id, self.gt_id = track_id, gt_id
         self.votes = np.zeros(len(CLASS_NAMES))
         self._extents_m = high - low  # a mask's rim shows what lies behind
-        self._R: FloatArray = np.eye(3)
-        self._t: FloatArray = middle
-        self._step_m: FloatArray = np.zeros(3)  # motion a frame
+        self._T: FloatArray = make_T(np.eye(3), middle)  # now, as far as it is known
+        self._T_aligned: FloatArray = self._T  # when its cloud was seen
+        self._step_m: FloatArray = np.zeros(3)  # a frame
         self._turn: FloatArray = np.eye(3)
         self._points, self._cloud = points, Cloud(np.zeros((0, 3)))
         self._seen_at: int | None = None
@@ -122,44 +124,41 @@ class _Track:
             predicted = self._prediction(gap)
             shift = make_T(np.eye(3), cloud.origin - self._cloud.origin)
             found = align(cloud, self._cloud, [np.eye(4), predicted, shift])
-            if found is None:
-                self._move(predicted)
-            else:
-                self._move(found.T_target_source)
-                self._learn_motion(found.T_target_source, gap)
+            self._T = (predicted if found is None else found.T_target_source) @ self._T_aligned
+            if found is not None:
+                self._learn_motion(gap)
         if first or len(cloud) >= MIN_POINTS:
-            self._points, self._cloud, self._aligned_at = points, cloud, frame_index
+            self._points, self._cloud = points, cloud
+            self._T_aligned, self._aligned_at = self._T, frame_index
 
-    def predicted_points(self, frame_index: int) -> NDArray[np.float64]:
+    def predicted_points(self, frame_index: int) -> FloatArray:
         """(P, 3) points it was last seen with, where they are now expected."""
         return apply_T(self._prediction(frame_index - self._aligned_at), self._points)
 
     def record(self, frame_index: int) -> TrackedObject:
         seen = self._seen_at == frame_index
+        R, t = self._T[:3, :3], self._T[:3, 3]
         return TrackedObject(
             track_id=self.track_id,
             frame_index=frame_index,
             class_id=int(self.votes.argmax()),
             state=self._state if seen else TrackState.OCCLUDED,
             confidence=self._score,
-            box=aabb_of_oriented(OrientedBox(self._t, self._R, self._extents_m)),
-            S_world_canonical=Similarity(float(np.linalg.norm(self._extents_m)), self._R, self._t),
+            box=aabb_of_oriented(OrientedBox(t, R, self._extents_m)),
+            S_world_canonical=Similarity(float(np.linalg.norm(self._extents_m)), R, t),
             extents_m=self._extents_m,
             observed=seen,
         )
 
-    def _prediction(self, gap: int) -> NDArray[np.float64]:
-        """Motion since its cloud was seen: the last one goes on for a frame, then it rests."""
-        if gap != 1:
-            return np.eye(4)
-        return make_T(self._turn, self._t + self._step_m - self._turn @ self._t)
+    def _prediction(self, gap: int) -> FloatArray:
+        """Motion in the `gap` frames since its cloud was seen: the last one goes on for a while,
+        then it rests."""
+        frames = min(gap, GOES_ON_FRAMES)
+        turn, t = np.linalg.matrix_power(self._turn, frames), self._T_aligned[:3, 3]
+        return make_T(turn, t + frames * self._step_m - turn @ t)
 
-    def _move(self, T_now_before: FloatArray) -> None:
-        self._R, self._t = T_now_before[:3, :3] @ self._R, apply_T(T_now_before, self._t)
-
-    def _learn_motion(self, T_now_before: FloatArray, gap: int) -> None:
-        """The motion of the reference point and the turn, a frame; none is told over a gap."""
-        before = (self._t - T_now_before[:3, 3]) @ T_now_before[:3, :3]
+    def _learn_motion(self, gap: int) -> None:
+        """Its motion a frame, about the reference point; over a gap none is learned."""
         told = gap == 1
-        self._step_m = self._t - before if told else np.zeros(3)
-        self._turn = T_now_before[:3, :3] if told else np.eye(3)
+        self._step_m = self._T[:3, 3] - self._T_aligned[:3, 3] if told else np.zeros(3)
+        self._turn = self._T[:3, :3] @ self._T_aligned[:3, :3].T if told else np.eye(3)

@@ -18,13 +18,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from composenet.errors import ConfigError
-from composenet.geometry.transform import apply_T, inverse_T, make_T
+from composenet.geometry.transform import angle_between_deg, apply_T, inverse_T, make_T
 from composenet.records import FloatArray
 
 REJECTION_RADII_M = (0.3, 0.1, 0.05)
 """correspondences farther apart than this are outliers, pass by pass"""
 INLIER_M = 0.05
 """a point this near to the other cloud agrees with it"""
+SAMPLING_M = 0.02
+"""distances between thinned clouds that say nothing"""
+MAX_TURN_DEG = 45.0
+"""an alignment that turns an object farther from one frame to the next has failed"""
 MIN_INLIER_SHARE = 0.3
 """an alignment that fewer points agree with has failed"""
 MIN_POINTS = 30
@@ -39,18 +43,18 @@ class Cloud:
     """Points of one surface, thinned to one a voxel. points: (N, 3) float64, metres."""
 
     def __init__(self, points: FloatArray, voxel_size_m: float = 0.03) -> None:
-        self._origin = points.mean(axis=0) if len(points) else np.zeros(3)
-        local = np.asarray(points - self._origin, dtype=np.float64)
-        sampled = _small_gicp().voxelgrid_sampling(local, voxel_size_m) if len(points) else None
-        self.points = sampled.points()[:, :3] + self._origin if sampled else np.zeros((0, 3))
+        points = np.asarray(points, dtype=np.float64)
+        # The grid is that of the frame: one that went with the cloud would hide its motion.
+        sampled = _small_gicp().voxelgrid_sampling(points, voxel_size_m) if len(points) else None
+        self.points = sampled.points()[:, :3] if sampled else np.zeros((0, 3))
 
     def __len__(self) -> int:
         return len(self.points)
 
-    @property
+    @cached_property
     def origin(self) -> NDArray[np.float64]:
-        """(3,) mean of the points it was made of."""
-        return np.asarray(self._origin)
+        """(3,) mean of the points."""
+        return self.points.mean(axis=0) if len(self) else np.zeros(3)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -72,8 +76,8 @@ class Cloud:
 @dataclass(frozen=True)
 class Alignment:
     """`p_target = T_target_source @ p_source`. inlier_share: of the points of the cloud
-    that agrees better, those within INLIER_M of the other. misfit_m: their mean distance, each
-    at most INLIER_M."""
+    that agrees better, those within INLIER_M of the other. misfit_m: their mean distance beyond
+    SAMPLING_M, each counted up to INLIER_M."""
 
     T_target_source: FloatArray
     inlier_share: float
@@ -87,12 +91,15 @@ def align(
     radii_m: Sequence[float] = REJECTION_RADII_M,
 ) -> Alignment | None:
     """The alignment of least misfit over all first guesses `T_target_source` (4, 4), the earlier
-    one where two fit alike; None where the clouds are too small or too few points agree."""
+    one where two fit alike; None where the clouds are too small, too few points agree or the turn
+    is too large."""
     if min(len(target), len(source)) < MIN_POINTS:
         return None
     best: Alignment | None = None
     for guess in guesses:
         found = _measured(target, source, _refined(target, source, guess, radii_m))
+        if angle_between_deg(found.T_target_source[:3, :3], np.eye(3)) > MAX_TURN_DEG:
+            continue
         if best is None or found.misfit_m < _BETTER_FIT * best.misfit_m:
             best = found
     return best if best is not None and best.inlier_share >= MIN_INLIER_SHARE else None
@@ -148,13 +155,13 @@ def _measured(target: Cloud, source: Cloud, T_target_source: FloatArray) -> Alig
     moved = apply_T(T_target_source, source.points)
     moved_back = apply_T(inverse_T(T_target_source), target.points)
     distances = [
-        np.minimum(tree.query(points, distance_upper_bound=INLIER_M)[0], INLIER_M)
+        np.clip(tree.query(points, distance_upper_bound=INLIER_M)[0], SAMPLING_M, INLIER_M)
         for tree, points in ((target.tree, moved), (source.tree, moved_back))
     ]
     return Alignment(
         T_target_source=T_target_source,
         inlier_share=max(float((d < INLIER_M).mean()) for d in distances),
-        misfit_m=min(float(d.mean()) for d in distances),
+        misfit_m=min(float(d.mean()) for d in distances) - SAMPLING_M,
     )
 
 
