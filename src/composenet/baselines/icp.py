@@ -33,6 +33,7 @@ MIN_INLIER_SHARE = 0.3
 """an alignment that fewer points agree with has failed"""
 MIN_POINTS = 30
 """smaller clouds are not aligned"""
+_GOOD_FIT_M = 0.0005  # one point in sixty at fault: no other guess can fit much better
 _BETTER_FIT = 0.8  # a later guess must fit that much better: partial views fit in many places
 _RECIPROCAL_M = 0.05
 _ITERATIONS = 15
@@ -102,6 +103,8 @@ def align(
             continue
         if best is None or found.misfit_m < _BETTER_FIT * best.misfit_m:
             best = found
+        if best.misfit_m < _GOOD_FIT_M:
+            break
     return best if best is not None and best.inlier_share >= MIN_INLIER_SHARE else None
 
 
@@ -155,13 +158,13 @@ def _measured(target: Cloud, source: Cloud, T_target_source: FloatArray) -> Alig
     moved = apply_T(T_target_source, source.points)
     moved_back = apply_T(inverse_T(T_target_source), target.points)
     distances = [
-        np.clip(tree.query(points, distance_upper_bound=INLIER_M)[0], SAMPLING_M, INLIER_M)
+        tree.query(points, distance_upper_bound=INLIER_M)[0].clip(SAMPLING_M, INLIER_M)
         for tree, points in ((target.tree, moved), (source.tree, moved_back))
     ]
     return Alignment(
         T_target_source=T_target_source,
         inlier_share=max(float((d < INLIER_M).mean()) for d in distances),
-        misfit_m=min(float(d.mean()) for d in distances) - SAMPLING_M,
+        misfit_m=min(float((d - SAMPLING_M).mean()) for d in distances),
     )
 
 
