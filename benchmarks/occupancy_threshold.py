@@ -3,7 +3,8 @@
 python benchmarks/occupancy_threshold.py [--weights FILE] [--start 100] [--count 18]
     [--out benchmarks/results/occupancy_threshold.json]
 
-Crops are jittered true boxes of generated validation scenes; headings are the network's own.
+Crops are jittered true boxes of generated validation scenes; headings and classes are the network's
+own.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights, weights_id
 from composenet.training.config import TrainingConfig
 from composenet.training.data import SceneSource, samples_of_scene
-from composenet.training.proposals import training_crops
+from composenet.training.proposals import training_boxes
 from composenet.training.targets import Sample, collate_samples, occupancy_in_crops
 
 THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
@@ -32,20 +33,21 @@ THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 def completed(network: ComposeNet, samples: list[Sample]) -> tuple[Tensor, Tensor]:
     """(M, cells) probability and (M, cells) bool truth of all positive crops."""
     generator = torch.Generator().manual_seed(0)
-    config, cells = TrainingConfig(), network.config.crop_cells
+    margin, cells = network.config.crop_margin, network.config.crop_cells
     found, true = [], []
     for start in range(0, len(samples), 4):
         batch = collate_samples(samples[start : start + 4])
-        margin = network.config.crop_margin
-        boxes = training_crops(batch, (), margin, config.max_boxes, generator)
-        keep = boxes.positive
-        if not keep.any():
+        boxes = training_boxes(batch, (), generator)
+        boxes = boxes[boxes.positive]
+        if not len(boxes.frame):
             continue
+        fields = network.voxel_fields(batch.volume)
+        looked = network.box_fields(fields, batch.volume, boxes.center, boxes.extents, boxes.frame)
         objects = network.object_fields(
-            network.voxel_fields(batch.volume), batch.volume, boxes.crops
+            fields, batch.volume, boxes.crops(margin), looked.class_logits.softmax(dim=1)
         )
-        target = occupancy_in_crops(batch, objects.crops[keep], boxes.rows[keep], cells)
-        found.append(objects.occupancy[keep].sigmoid().flatten(1))
+        target = occupancy_in_crops(batch, objects.crops, boxes.rows, cells)
+        found.append(objects.occupancy.sigmoid().flatten(1))
         true.append((target > 0.5).flatten(1))
     return torch.cat(found), torch.cat(true)
 
@@ -55,8 +57,8 @@ def main(
 ) -> None:
     """Print IoU by threshold."""
     path = weights or default_weights()
-    network, _, _ = load_weights(path)
-    rng, config = np.random.default_rng(1), TrainingConfig()
+    network, own, _ = load_weights(path)
+    rng, config = np.random.default_rng(1), TrainingConfig(model=own)
     samples: list[Sample] = []
     for index in range(start, start + count):
         scene = SceneSource("val").scene(index)
