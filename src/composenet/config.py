@@ -60,13 +60,14 @@ class DetectionConfig:
     objectness_threshold: Share = 0.5
     mean_shift_steps: Count = 20
     """[paper]"""
-    mean_shift_radius_voxels: Positive = 8.0
-    """[paper]"""
-    min_cluster_voxels: Count = 50
-    """smaller clusters are dropped [paper]"""
-    max_proposals: Count = 20
+    mean_shift_radius_voxels: Positive = 5.0
+    """the paper's 8 merges neighbours; the second look drops what 5 splits"""
+    min_cluster_voxels: Count = 20
+    """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
+    max_proposals: Count = 30
     min_score: Share = 0.3
-    duplicate_iou: Share = 0.5
+    """a box of less quality is dropped"""
+    duplicate_iou: Share = 0.25
     """of two corrected boxes that overlap more than this, the weaker is dropped"""
 
 

@@ -22,7 +22,7 @@ class Proposals:
     """Boxes found in one frame, grid frame, strongest first.
 
     center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) of `propose`
-    the mean objectness of the cluster, of `second_look` that and the quality. voxels: (M,) how
+    the mean objectness of the cluster, of `second_look` the quality. voxels: (M,) how
     many voxels voted.
     """
 
@@ -140,7 +140,7 @@ def second_look(
 ) -> tuple[Proposals, ...]:
     """Proposals with corrected boxes and classes, strongest first.
 
-    score becomes the root of objectness times quality; of two boxes that overlap by more than
+    score becomes the quality; of two boxes that overlap by more than
     config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture cannot
     share that much space.
     """
@@ -149,7 +149,7 @@ def second_look(
         frame = torch.full((len(p.center),), index, device=p.center.device)
         extents = p.extents.clamp(*BOX_LIMITS_M)
         boxes = network.box_fields(fields, batch, p.center, extents, frame)
-        score = (p.score * boxes.quality.sigmoid()).sqrt()
+        score = boxes.quality.sigmoid()
         order = torch.argsort(score, descending=True, stable=True)
         order = order[score[order] >= config.min_score]
         center, extents = boxes.center[order], boxes.extents[order]

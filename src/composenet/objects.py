@@ -74,7 +74,7 @@ def _complete(
     probabilities = proposals.class_probabilities
     objects = network.object_fields(fields, batch, boxes, probabilities)
     crops = objects.crops
-    score = proposals.score * probabilities.amax(dim=1)
+    score = proposals.score * probabilities.amax(dim=1).sqrt()
     shown = _shown_occupancy(objects, config)
     coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
     points = crops.points(config.network.crop_cells // 2)
