@@ -168,7 +168,7 @@ def test_of_two_alike_the_nearer_is_re_matched():
 
 
 def test_class_is_a_weighted_vote():
-    classes = [(CHAIR, 0.5), (TABLE, 0.4), (TABLE, 0.4), (CHAIR, 0.35)]
+    classes = [(CHAIR, 1.0), (TABLE, 0.8), (TABLE, 0.8), (CHAIR, 0.7)]
     tracker, outputs = run([(None, [thing(3, 0, class_id=c, score=s)]) for c, s in classes])
     assert [out[0].class_id for out in outputs] == [CHAIR, CHAIR, TABLE, CHAIR]
     assert tracker.tracks()[0].class_id == CHAIR
@@ -185,8 +185,9 @@ def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
     pair = [thing(3, 0, score=0.6), thing(3, 0.1, score=0.9)]
     _, outputs = run([(None, pair)])
     assert [e.confidence for e in outputs[0]] == [0.45]
-    _, outputs = run([(None, [thing(3, 0, score=0.1)]), SEEN, (None, [thing(3, 0, score=0.1)])])
-    assert seen_at(outputs) == [[], [1], [1]]
+    weak, too_weak = (None, [thing(3, 0, score=0.55)]), (None, [thing(3, 0, score=0.45)])
+    _, outputs = run([weak, SEEN, weak, too_weak])
+    assert seen_at(outputs) == [[], [1], [1], []]
 
 
 def test_canonical_model_is_the_running_mean():

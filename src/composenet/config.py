@@ -85,7 +85,9 @@ class TrackingConfig:
     """[paper]"""
     running_mean_weight: Positive = 4.0
     """old : new = 4 : 1 [paper]"""
-    min_birth_score: Share = 0.5
+    min_score: Share = 0.5
+    """a weaker proposal is left out of tracking"""
+    min_birth_score: Share = 0.6
     """a weaker proposal may continue a track but starts none"""
     duplicate_iou: Share = 0.5
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""

@@ -5,8 +5,9 @@ Iterative Closest Point algorithm, given 2D detection"). With true masks and ide
 F2F-GT; with predicted masks, associated by their overlap after warping, F2F-MaskRCNN. The paper
 gives no parameters; ours:
 
-- point-to-plane ICP of clouds thinned to 3 cm, begun from rest, from constant velocity and from
-  the shift of the visible points; the best fit wins, and the earlier one where two fit alike;
+- point-to-plane ICP of clouds thinned to 3 cm, begun from constant velocity and from rest (in
+  that order for what moved by over 3 cm a frame) and from the shift of the visible points; the
+  best fit wins, and the earlier one where two fit alike;
 - correspondences are rejected where they are not mutual and beyond 30, then 10, then 5 cm;
 - an alignment that under 30 % of the points agree with, or that turns by over 45 degrees, has
   failed, and the object goes on as it last moved;
@@ -17,6 +18,7 @@ gives no parameters; ours:
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from composenet.baselines.association import mask_iou, projected_mask
 from composenet.baselines.camera import FrameToFrameCamera
@@ -32,6 +34,8 @@ MASK_IOU_GATE = 0.2
 """a warped and a new mask that overlap less are two objects"""
 MIN_BIRTH_SCORE = 0.5
 """a weaker mask may continue a track but starts none"""
+MOVING_M = 0.03
+"""an object that moved farther in a frame is first expected to go on, else to rest"""
 GOES_ON_FRAMES = 3
 """an object out of sight goes on as it last moved for so long, then it rests"""
 END_AFTER_FRAMES = 10
@@ -103,8 +107,7 @@ class _Track:
         self._extents_m = high - low  # a mask's rim shows what lies behind
         self._T: FloatArray = make_T(np.eye(3), middle)  # now, as far as it is known
         self._T_aligned: FloatArray = self._T  # when its cloud was seen
-        self._step_m: FloatArray = np.zeros(3)  # a frame
-        self._turn: FloatArray = np.eye(3)
+        self._step_m, self._turn = np.zeros(3), np.zeros(3)  # motion a frame; rotation vector
         self._points, self._cloud = points, Cloud(np.zeros((0, 3)))
         self._seen_at: int | None = None
         self._aligned_at = 0
@@ -123,7 +126,9 @@ class _Track:
         if not first:
             predicted = self._prediction(gap)
             shift = make_T(np.eye(3), cloud.origin - self._cloud.origin)
-            found = align(cloud, self._cloud, [np.eye(4), predicted, shift])
+            moving = np.linalg.norm(self._step_m) > MOVING_M
+            likely = [predicted, np.eye(4)] if moving else [np.eye(4), predicted]
+            found = align(cloud, self._cloud, [*likely, shift])
             self._T = (predicted if found is None else found.T_target_source) @ self._T_aligned
             if found is not None:
                 self._learn_motion(gap)
@@ -154,11 +159,11 @@ class _Track:
         """Motion in the `gap` frames since its cloud was seen: the last one goes on for a while,
         then it rests."""
         frames = min(gap, GOES_ON_FRAMES)
-        turn, t = np.linalg.matrix_power(self._turn, frames), self._T_aligned[:3, 3]
+        turn, t = Rotation.from_rotvec(frames * self._turn).as_matrix(), self._T_aligned[:3, 3]
         return make_T(turn, t + frames * self._step_m - turn @ t)
 
     def _learn_motion(self, gap: int) -> None:
-        """Its motion a frame, about the reference point; over a gap none is learned."""
-        told = gap == 1
-        self._step_m = self._T[:3, 3] - self._T_aligned[:3, 3] if told else np.zeros(3)
-        self._turn = self._T[:3, :3] @ self._T_aligned[:3, :3].T if told else np.eye(3)
+        """Its mean motion a frame since its cloud was seen, about the reference point."""
+        before, now = self._T_aligned, self._T
+        self._step_m = (now[:3, 3] - before[:3, 3]) / gap
+        self._turn = Rotation.from_matrix(now[:3, :3] @ before[:3, :3].T).as_rotvec() / gap

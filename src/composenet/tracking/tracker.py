@@ -41,7 +41,8 @@ class Tracker:
         index is not larger than the one before.
         """
         self._advance(frame.index)
-        proposals = order_and_deduplicate(estimates, self._config.duplicate_iou)
+        strong = [e for e in estimates if e.score >= self._config.min_score]
+        proposals = order_and_deduplicate(strong, self._config.duplicate_iou)
         alive = [t for t in self._tracklets if t.alive]
 
         pairs = match_boxes(alive, proposals, self._config)
