@@ -49,7 +49,7 @@ class NetworkConfig:
     """cells a side of the fixed grid each box is sampled on; halved three times"""
     crop_margin: Annotated[float, Field(ge=1)] = 1.25
     """the crop is the proposal grown by this factor"""
-    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.2
+    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.3
     """a cell counts as filled from this probability on"""
 
 
@@ -87,7 +87,7 @@ class TrackingConfig:
     """old : new = 4 : 1 [paper]"""
     min_score: Share = 0.5
     """a weaker proposal is left out of tracking"""
-    min_birth_score: Share = 0.6
+    min_birth_score: Share = 0.8
     """a weaker proposal may continue a track but starts none"""
     duplicate_iou: Share = 0.5
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""

@@ -50,6 +50,7 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
+    The box is the mean of the detector's and the completed geometry's.
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl."), and the box is the detector's.
     """
@@ -114,12 +115,12 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     cell_m = _numpy(crop.size[0]) / cells
     filled = found.shown[i].flatten() >= 0.5
     points_grid = _numpy(crop.points(cells)[0, filled])
-    if config.tracking.use_completion:
+    center, extents = _numpy(found.proposals.center[i]), _numpy(found.proposals.extents[i])
+    if config.tracking.use_completion:  # two estimates of one box, whose errors differ
         reach = np.abs(_numpy(crop.R_grid_crop[0])) @ cell_m / 2
         first, last = points_grid.min(axis=0) - reach, points_grid.max(axis=0) + reach
-        center, extents = (first + last) / 2, last - first
-    else:
-        center, extents = _numpy(found.proposals.center[i]), _numpy(found.proposals.extents[i])
+        center = (center + (first + last) / 2) / 2
+        extents = (extents + last - first) / 2
     box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
     similarity = _similarity(i, found.fit, box, R_world_grid, low)
     points_world = points_grid @ R_world_grid.T + low

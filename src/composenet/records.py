@@ -112,7 +112,7 @@ class ObjectEstimate:
     """A posed detection: one object in one frame, completed.
 
     class_probabilities: (n_classes,), sum 1. score: 0..1, of being an object and of its likeliest
-    class. box: world, tight around the completed geometry. S_world_canonical: fitted
+    class. box: world, of the completed object. S_world_canonical: fitted
     by Procrustes; pose_observable is False where the correspondences do not fix it (then the
     similarity is the box with identity rotation). extents_m: (3,) full extents in object axes.
     points_world, points_canonical: (P, 3) float32, occupied cells and their correspondences.

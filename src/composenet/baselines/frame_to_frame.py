@@ -36,6 +36,8 @@ MIN_BIRTH_SCORE = 0.5
 """a weaker mask may continue a track but starts none"""
 MOVING_M = 0.03
 """an object that moved farther in a frame is first expected to go on, else to rest"""
+MAX_STEP_M = 0.4
+"""an alignment that moves an object farther in a frame has failed"""
 GOES_ON_FRAMES = 3
 """an object out of sight goes on as it last moved for so long, then it rests"""
 END_AFTER_FRAMES = 10
@@ -128,7 +130,8 @@ class _Track:
             shift = make_T(np.eye(3), cloud.origin - self._cloud.origin)
             moving = np.linalg.norm(self._step_m) > MOVING_M
             likely = [predicted, np.eye(4)] if moving else [np.eye(4), predicted]
-            found = align(cloud, self._cloud, [*likely, shift])
+            reach_m = MAX_STEP_M * gap
+            found = align(cloud, self._cloud, [*likely, shift], reach_m=reach_m)
             self._T = (predicted if found is None else found.T_target_source) @ self._T_aligned
             if found is not None:
                 self._learn_motion(gap)

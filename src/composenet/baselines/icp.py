@@ -90,22 +90,28 @@ def align(
     source: Cloud,
     guesses: Sequence[FloatArray],
     radii_m: Sequence[float] = REJECTION_RADII_M,
+    reach_m: float = np.inf,
 ) -> Alignment | None:
     """The alignment of least misfit over all first guesses `T_target_source` (4, 4), the earlier
-    one where two fit alike; None where the clouds are too small, too few points agree or the turn
-    is too large."""
+    one where two fit alike; None where the clouds are too small, too few points agree, the turn
+    is too large or the source's middle moves farther than reach_m."""
     if min(len(target), len(source)) < MIN_POINTS:
         return None
     best: Alignment | None = None
     for guess in guesses:
         found = _measured(target, source, _refined(target, source, guess, radii_m))
-        if angle_between_deg(found.T_target_source[:3, :3], np.eye(3)) > MAX_TURN_DEG:
+        if not _plausible(found.T_target_source, source.origin, reach_m):
             continue
         if best is None or found.misfit_m < _BETTER_FIT * best.misfit_m:
             best = found
         if best.misfit_m < _GOOD_FIT_M:
             break
     return best if best is not None and best.inlier_share >= MIN_INLIER_SHARE else None
+
+
+def _plausible(T: FloatArray, middle: FloatArray, reach_m: float) -> bool:
+    step_m = np.linalg.norm(apply_T(T, middle) - middle)
+    return bool(step_m <= reach_m and angle_between_deg(T[:3, :3], np.eye(3)) <= MAX_TURN_DEG)
 
 
 def _refined(
