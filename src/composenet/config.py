@@ -97,6 +97,11 @@ class TrackingConfig:
     """added to that way: noise of the centres"""
     max_reach_m: Positive = 2.0
     """no canonical match is farther from the last place, however long ago it was"""
+    still_share: Share = 0.12
+    """a centre that moves by less than this share of its box's horizontal diagonal stands still,
+    and its boxes are averaged"""
+    steady_weight: Positive = 2.0
+    """the boxes before weigh together at most as much as this many certain ones"""
     expected_visible_share: Share = 0.5
     """an unseen track with less of its surface in open view is occluded, else lost"""
     occluded_decay: Share = 0.98

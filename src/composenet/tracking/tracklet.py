@@ -15,6 +15,7 @@ import numpy as np
 
 from composenet.records import (
     CLASS_NAMES,
+    Box,
     ObjectEstimate,
     Similarity,
     Track,
@@ -26,6 +27,10 @@ from composenet.tracking.visibility import Visibility
 
 if TYPE_CHECKING:
     from composenet.config import TrackingConfig
+
+
+SMALLEST_DIAGONAL_M = 0.3
+"""Noise of the centres does not shrink with objects smaller than this."""
 
 
 class Tracklet:
@@ -49,6 +54,7 @@ class Tracklet:
         self._mean_score = estimate.score
         self._confidence = 0.0
         self._visible_misses = 0
+        self.box, self._steadiness = estimate.box, 0.0
         self._history: list[TrackedObject] = []
         self.S_world_canonical = estimate.S_world_canonical
         self.extents_m = estimate.extents_m
@@ -112,13 +118,31 @@ class Tracklet:
             self.S_world_canonical = Similarity(last.scale_m, last.R, estimate.box.center)
 
     def _see(self, frame_index: int, estimate: ObjectEstimate) -> None:
-        self.box = estimate.box
+        self.box = self._steadied(estimate)
+        S, shift = self.S_world_canonical, self.box.center - estimate.box.center
+        self.S_world_canonical = Similarity(S.scale_m, S.R, S.t + shift)
         self.last_seen = frame_index
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
         self._hits += 1
         self._visible_misses = 0
         self._confidence = self._mean_score * (1 - 0.5**self._hits)
         self._record(frame_index, observed=True)
+
+    def _steadied(self, estimate: ObjectEstimate) -> Box:
+        """Mean of the last boxes, weighted by their scores, while the centre stays within
+        still_share of the box's horizontal diagonal; a longer step is motion, and the mean
+        begins anew."""
+        new, weight = estimate.box, max(estimate.score, 1e-3)
+        step = np.linalg.norm((new.center - self.box.center)[:2])
+        diagonal = max(float(np.linalg.norm(new.extents[:2])), SMALLEST_DIAGONAL_M)
+        if step > self._config.still_share * diagonal:
+            self._steadiness = 0.0
+        share = weight / (self._steadiness + weight)
+        self._steadiness = min(self._steadiness + weight, self._config.steady_weight)
+        return Box(
+            self.box.center + share * (new.center - self.box.center),
+            self.box.extents + share * (new.extents - self.box.extents),
+        )
 
     def _record(self, frame_index: int, observed: bool) -> None:
         self._history.append(
