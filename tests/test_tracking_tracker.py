@@ -48,7 +48,21 @@ def test_a_sliding_object_keeps_its_id():
     (track,) = tracker.tracks()
     assert [entry.frame_index for entry in track.history] == list(range(10))
     assert {entry.state for entry in track.history} == {TrackState.TRACKED}
-    np.testing.assert_allclose(track.history[-1].box.center[:2], [3, 0.9])
+    # steps of 10 cm are within the noise of a box this size: followed, half of one behind
+    np.testing.assert_allclose(track.history[-1].box.center[:2], [3, 0.85], atol=0.02)
+
+
+def test_a_still_object_is_averaged_and_a_long_step_is_followed_at_once():
+    rng = np.random.default_rng(0)
+    noisy = [(None, [thing(3 + e, 0)]) for e in 0.03 * rng.standard_normal(40)]
+    _, outputs = run(noisy)
+    places = np.array([out[0].box.center[0] for out in outputs[5:]])
+    raw = np.array([e[0].box.center[0] for _, e in noisy[5:]])
+    assert abs(places - 3).mean() < 0.75 * abs(raw - 3).mean()
+    for out in outputs:  # pose and box move together
+        np.testing.assert_allclose(out[0].S_world_canonical.t, out[0].box.center, atol=1e-9)
+    _, outputs = run([*noisy, (None, [thing(3.3, 0)])])
+    np.testing.assert_allclose(outputs[-1][0].box.center[0], 3.3)
 
 
 def test_two_crossing_objects_keep_their_ids():
@@ -199,7 +213,7 @@ def test_canonical_model_is_the_running_mean():
 
 def test_an_unobservable_pose_keeps_rotation_shape_and_model():
     posed = thing(3, 0, size=(0.9, 0.6, 0.9), yaw=0.3)
-    vague = thing(3, 0.1, canonical=EMPTY, observable=False)
+    vague = thing(3, 0.2, canonical=EMPTY, observable=False)  # far enough not to be averaged
     tracker, outputs = run([(None, [posed]), (None, [vague])])
     (entry,) = outputs[1]
     np.testing.assert_array_equal(entry.S_world_canonical.R, rotation_z(0.3))
