@@ -128,7 +128,7 @@ def test_unknown_devices(name: str) -> None:
 
 
 def test_a_tracker_starts_anew(tiny_weights: Path) -> None:
-    tracker = load_tracker(tiny_weights, device="cpu")
+    tracker = load_tracker(tiny_weights, device="cpu", min_score=0.0)
     first = [tracker(frame(i, [BOX])) for i in range(2)]
     again = tracker.restart()
     second = [again(frame(i, [BOX])) for i in range(2)]
