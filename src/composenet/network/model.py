@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from composenet.config import NetworkConfig, VolumeConfig
+from composenet.errors import ConfigError
 from composenet.network.backbone import Backbone
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import BoxFields, BoxHead
@@ -20,6 +21,10 @@ class ComposeNet(nn.Module):
 
     def __init__(self, network: NetworkConfig, volume: VolumeConfig) -> None:
         super().__init__()
+        if len(network.backbone_blocks) != len(network.backbone_channels):
+            raise ConfigError(
+                "configuration: backbone_blocks and backbone_channels need one entry a stride each"
+            )
         self.config, self.volume_config = network, volume
         self.backbone = Backbone(
             len(FEATURE_NAMES), network.backbone_channels, network.backbone_blocks

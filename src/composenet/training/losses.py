@@ -78,12 +78,21 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
     keep = boxes.positive
     rows = boxes.rows[keep]
     quality = torch.zeros_like(boxes.iou)
+    touching = boxes.iou > 0
+    if touching.any():
+        own = boxes.rows[touching]
+        now = paired_iou(
+            fields.center[touching].detach(),
+            fields.extents[touching].detach(),
+            batch.center[own],
+            batch.extents[own],
+        )
+        quality[touching] = ((now - 0.1) / 0.5).clamp(0, 1)
     losses = {name: 0 * fields.class_logits.sum() for name in ("box", "box_class")}
     if keep.any():
         center, extents = fields.center[keep], fields.extents[keep]
         true_center, true_extents = batch.center[rows], batch.extents[rows]
         iou = paired_iou(center, extents, true_center, true_extents)
-        quality[keep] = ((iou.detach() - 0.1) / 0.5).clamp(0, 1)
         gap = (center - true_center).abs() / true_extents + (extents / true_extents).log().abs()
         losses["box"] = (gap.sum(dim=1) + 1 - iou).mean()
         losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])

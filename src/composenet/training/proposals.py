@@ -18,7 +18,7 @@ POSITIVE_IOU = 0.25
 JITTERED = 1
 """Jittered copies of every true box."""
 RANDOM = 1
-"""Random boxes a frame."""
+"""Random boxes a frame, on average."""
 
 
 @dataclass(frozen=True)

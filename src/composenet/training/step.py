@@ -30,6 +30,7 @@ class LossModule(nn.Module):
         super().__init__()
         self.config = config
         self.network = ComposeNet(config.model.network, config.model.volume)
+        self.train()
 
     def train(self, mode: bool = True) -> LossModule:
         """Training mode, except for what is held fixed."""
