@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_to_frame import FrameToFrame
+from composenet.baselines.mask_fusion import MaskFusion
 from composenet.baselines.records import Row
 from composenet.baselines.true_masks import TrueMasks
 
 ROWS: dict[str, Row] = {
     "f2f-gt": Row(FrameToFrame, TrueMasks, told="true masks, classes and identities"),
+    "maskfusion-gt-masks": Row(
+        MaskFusion, AnonymousMasks, told="true masks and classes, no identities"
+    ),
 }
 """By name, in the table's order."""

@@ -1,0 +1,137 @@
+"""What one camera sees of a surface, pixel by pixel: measured by a sensor or rendered from a map.
+
+Depth is smoothed by a bilateral filter before normals are taken from it, as ElasticFusion does
+(Whelan et al. 2015), which MaskFusion builds on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+
+from composenet.geometry.camera import back_project, subsample_camera
+from composenet.records import Camera, FloatArray, Frame
+
+FAR_M = 6.0
+"""depth beyond this is dropped"""
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+_RADIUS_PX, _SIGMA_PX, _SIGMA_M = 3, 2.25, 0.03  # of the filter; ElasticFusion's at 640x480: 6, 4.5
+_STEP = 0.05  # of the depth: neighbours farther apart are not of one surface
+_BINOMIAL = np.array([1, 2, 1], np.float32) / 4
+
+
+@dataclass(frozen=True)
+class Maps:
+    """A surface by pixel. points: (H, W, 3) float32 metres, camera axes, 0 where there is none.
+    normals: (H, W, 3) float32, unit, towards the camera, 0 where there is none. intensity:
+    (H, W) float32 in 0..1, NaN where there is none."""
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    camera: Camera
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) bool: a point with a normal."""
+        return np.asarray((self.points[..., 2] > 0) & self.normals.any(axis=-1))
+
+
+def measured_maps(frame: Frame) -> Maps:
+    """Of a frame; points and normals are those of the smoothed depth."""
+    depth = np.where((frame.depth_m > 0) & (frame.depth_m < FAR_M), frame.depth_m, 0)
+    points = back_project(smoothed(depth.astype(np.float32)), frame.camera)
+    return Maps(points, normals_of(points), intensity_of(frame), frame.camera)
+
+
+def intensity_of(frame: Frame) -> NDArray[np.float32]:
+    """(H, W) brightness in 0..1; NaN for a frame without colour."""
+    if frame.color is None:
+        return np.full(frame.depth_m.shape, np.nan, np.float32)
+    return (frame.color.astype(np.float32) / 255) @ LUMA
+
+
+def pyramid(maps: Maps, levels: int) -> list[Maps]:
+    """The maps, finest first, each half as wide as the one before."""
+    result = [maps]
+    for _ in range(levels - 1):
+        maps = result[-1]
+        image = correlate1d(correlate1d(maps.intensity, _BINOMIAL, 0), _BINOMIAL, 1)
+        result.append(
+            Maps(
+                np.ascontiguousarray(maps.points[::2, ::2]),
+                np.ascontiguousarray(maps.normals[::2, ::2]),
+                np.ascontiguousarray(image[::2, ::2]),
+                subsample_camera(maps.camera, 2),
+            )
+        )
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def smoothed(depth: FloatArray) -> NDArray[np.float32]:
+    """Bilateral filter of depth (H, W) float32; 0 stays 0."""
+    height, width = depth.shape
+    out = np.zeros_like(depth)
+    size = 2 * _RADIUS_PX + 1
+    near = np.empty((size, size), np.float32)
+    for a in range(size):
+        for b in range(size):
+            square = (a - _RADIUS_PX) ** 2 + (b - _RADIUS_PX) ** 2
+            near[a, b] = np.exp(-square / (2 * _SIGMA_PX**2))
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            if z <= 0:
+                continue
+            total, weights = 0.0, 0.0
+            for y in range(max(0, v - _RADIUS_PX), min(height, v + _RADIUS_PX + 1)):
+                for x in range(max(0, u - _RADIUS_PX), min(width, u + _RADIUS_PX + 1)):
+                    away = depth[y, x] - z
+                    if depth[y, x] <= 0 or abs(away) > 4 * _SIGMA_M:
+                        continue
+                    weight = near[y - v + _RADIUS_PX, x - u + _RADIUS_PX]
+                    weight *= np.exp(-away * away / (2 * _SIGMA_M**2))
+                    total += weight * depth[y, x]
+                    weights += weight
+            out[v, u] = total / weights
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def normals_of(points: FloatArray) -> NDArray[np.float32]:
+    """(H, W, 3) unit normals towards the camera of points (H, W, 3) in camera axes, from
+    neighbours of the same surface; 0 where there are too few."""
+    height, width = points.shape[:2]
+    normals = np.zeros_like(points)
+    for v in range(height):
+        for u in range(width):
+            z = points[v, u, 2]
+            if z <= 0:
+                continue
+            left, right, above, below = u, u, v, v
+            if u > 0 and abs(points[v, u - 1, 2] - z) < _STEP * z:
+                left = u - 1
+            if u + 1 < width and abs(points[v, u + 1, 2] - z) < _STEP * z:
+                right = u + 1
+            if v > 0 and abs(points[v - 1, u, 2] - z) < _STEP * z:
+                above = v - 1
+            if v + 1 < height and abs(points[v + 1, u, 2] - z) < _STEP * z:
+                below = v + 1
+            if left == right or above == below:
+                continue
+            a = points[v, right] - points[v, left]
+            b = points[below, u] - points[above, u]
+            x = b[1] * a[2] - b[2] * a[1]
+            y = b[2] * a[0] - b[0] * a[2]
+            n = b[0] * a[1] - b[1] * a[0]
+            length = np.sqrt(x * x + y * y + n * n)
+            if length > 1e-12:
+                normals[v, u, 0] = x / length
+                normals[v, u, 1] = y / length
+                normals[v, u, 2] = n / length
+    return normals

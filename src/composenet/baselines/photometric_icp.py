@@ -1,0 +1,193 @@
+"""Projective ICP of a rendered surface against a frame: geometry and brightness, coarse to fine.
+
+The energy of MaskFusion (section "Tracking"): the distance of a measured point from the plane of
+the model's point that projects onto its pixel, plus the photometric difference there, solved by
+Gauss-Newton with robust (Huber) weights on a pyramid of images.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from composenet.baselines.frame_maps import Maps, pyramid
+from composenet.geometry.transform import make_T
+from composenet.records import FloatArray
+
+LEVELS = 3
+ITERATIONS = (10, 5, 4)
+"""finest level first"""
+MAX_DISTANCE_M = 0.1
+"""a pair of points farther apart is none"""
+MAX_SINE = float(np.sin(np.radians(20)))
+"""nor is one whose normals differ by more"""
+MAX_DEPTH_STEP_M = 0.07
+"""brightness is compared only where depths agree to this"""
+PHOTOMETRIC_WEIGHT = 0.1
+"""of a squared difference of brightness (0..1) against a squared metre: 3 % weigh like 1 cm"""
+MIN_PAIRS = 60
+"""with fewer pairs at a level nothing is estimated there"""
+_HUBER_M, _HUBER_LIGHT = 0.02, 0.1
+_MIN_GRADIENT = 0.01  # brightness a pixel
+_CONVERGED = 1e-6
+
+
+def align(model: Maps, frame: list[Maps]) -> tuple[NDArray[np.float64], int]:
+    """The motion (4, 4) that brings the model's points, in camera axes, onto the frame's, and the
+    pairs of points that agreed in the end. frame: its `pyramid`. Nothing agreed: no motion."""
+    T = np.eye(4)
+    count = 0
+    views = pyramid(model, LEVELS)
+    for view, level, iterations in list(zip(views, frame, ITERATIONS, strict=True))[::-1]:
+        kept = view.valid
+        points, normals, light = view.points[kept], view.normals[kept], view.intensity[kept]
+        K = level.camera.K
+        for _ in range(iterations):
+            A, b, count = _normal_equations(
+                points, normals, light, level.points, level.normals, level.intensity,
+                T, K[0, 0], K[1, 1], K[0, 2], K[1, 2],
+            )  # fmt: skip
+            if count < MIN_PAIRS:
+                break
+            step = np.linalg.lstsq(A, -b, rcond=1e-9)[0]
+            T = increment(step) @ T
+            if np.abs(step).max() < _CONVERGED:
+                break
+    return T, count
+
+
+def turned(before: Maps, now: Maps) -> NDArray[np.float64]:
+    """The rotation (4, 4) of a camera's axes that best explains two small images by brightness
+    alone, as if all were far away: a first guess. Identity where there is no colour."""
+    K, T = now.camera.K, np.eye(4)
+    v, u = np.mgrid[1 : now.camera.height - 1 : 1, 1 : now.camera.width - 1 : 1]
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
+    light = before.intensity[1:-1, 1:-1]
+    kept = np.isfinite(light)
+    least = np.inf
+    best = T
+    for _ in range(10):
+        A, b, misfit = _turning_equations(
+            rays[kept], light[kept], now.intensity, T, K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+        )
+        if misfit >= least:
+            break
+        best, least = T, misfit
+        step = np.zeros(6)
+        step[3:] = np.linalg.lstsq(A[3:, 3:], -b[3:], rcond=1e-9)[0]
+        T = increment(step) @ T
+    return best
+
+
+def increment(step: FloatArray) -> NDArray[np.float64]:
+    """(4, 4) motion of (6,): metres moved, then the rotation vector."""
+    return make_T(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3])
+
+
+@numba.njit(cache=True, nogil=True)
+def geometric_row(point, normal, measured, row):
+    """Distance in metres of the model's point from the measured one along the model's normal, all
+    (3,) in camera axes; row (6,) becomes its derivative by `increment` of point and normal."""
+    residual = 0.0
+    for k in range(3):
+        residual += normal[k] * (point[k] - measured[k])
+        row[k] = normal[k]
+    row[3] = measured[1] * normal[2] - measured[2] * normal[1]
+    row[4] = measured[2] * normal[0] - measured[0] * normal[2]
+    row[5] = measured[0] * normal[1] - measured[1] * normal[0]
+    return residual
+
+
+@numba.njit(cache=True, nogil=True)
+def photometric_row(point, light, image, fx, fy, cx, cy, row):
+    """Brightness of the image (H, W) where a point (3,) of the model projects, less the point's
+    own; row (6,) becomes its derivative by `increment`. NaN outside the image."""
+    height, width = image.shape
+    u, v = fx * point[0] / point[2] + cx, fy * point[1] / point[2] + cy
+    if not (0 <= u < width - 1 and 0 <= v < height - 1):
+        return np.nan
+    x, y = int(u), int(v)
+    a, b = u - x, v - y
+    p, q, r, s = image[y, x], image[y, x + 1], image[y + 1, x], image[y + 1, x + 1]
+    gu = ((q - p) * (1 - b) + (s - r) * b) * fx / point[2]
+    gv = ((r - p) * (1 - a) + (s - q) * a) * fy / point[2]
+    row[0] = gu
+    row[1] = gv
+    row[2] = -(gu * point[0] + gv * point[1]) / point[2]
+    row[3] = point[1] * row[2] - point[2] * row[1]
+    row[4] = point[2] * row[0] - point[0] * row[2]
+    row[5] = point[0] * row[1] - point[1] * row[0]
+    return (p * (1 - a) + q * a) * (1 - b) + (r * (1 - a) + s * a) * b - light
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(A, b, row, residual, weight):
+    for i in range(6):
+        for j in range(6):
+            A[i, j] += weight * row[i] * row[j]
+        b[i] += weight * row[i] * residual
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(T, vector, shift, out):
+    for k in range(3):
+        out[k] = shift * T[k, 3]
+        for j in range(3):
+            out[k] += T[k, j] * vector[j]
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_equations(
+    points, normals, light, frame_points, frame_normals, image, T, fx, fy, cx, cy
+):
+    """J^T W J, J^T W r and the pairs of points that entered."""
+    height, width = image.shape
+    A, b = np.zeros((6, 6)), np.zeros(6)
+    point, normal, row = np.empty(3), np.empty(3), np.empty(6)
+    pairs = 0
+    for i in range(len(points)):
+        _moved(T, points[i], 1.0, point)
+        if point[2] < 0.1:
+            continue
+        u = int(np.round(fx * point[0] / point[2] + cx))
+        v = int(np.round(fy * point[1] / point[2] + cy))
+        if not (0 <= u < width and 0 <= v < height) or frame_points[v, u, 2] <= 0:
+            continue
+        measured, other = frame_points[v, u], frame_normals[v, u]
+        _moved(T, normals[i], 0.0, normal)
+        away, cosine = 0.0, 0.0
+        for k in range(3):
+            away += (point[k] - measured[k]) ** 2
+            cosine += normal[k] * other[k]
+        if away <= MAX_DISTANCE_M**2 and cosine > 0 and 1 - cosine * cosine < MAX_SINE**2:
+            residual = geometric_row(point, normal, measured, row)
+            weight = min(1.0, _HUBER_M / max(abs(residual), 1e-12))
+            _add(A, b, row, residual, weight)
+            pairs += 1
+        if abs(point[2] - measured[2]) <= MAX_DEPTH_STEP_M:
+            residual = photometric_row(point, light[i], image, fx, fy, cx, cy, row)
+            slope = (row[0] / fx) ** 2 + (row[1] / fy) ** 2
+            if np.isfinite(residual) and slope * point[2] ** 2 > _MIN_GRADIENT**2:
+                weight = min(1.0, _HUBER_LIGHT / max(abs(residual), 1e-12)) * PHOTOMETRIC_WEIGHT
+                _add(A, b, row, residual, weight)
+    return A, b, pairs
+
+
+@numba.njit(cache=True, nogil=True)
+def _turning_equations(rays, light, image, T, fx, fy, cx, cy):
+    """As `_normal_equations`, of brightness alone, and the mean squared difference."""
+    A, b = np.zeros((6, 6)), np.zeros(6)
+    point, row = np.empty(3), np.empty(6)
+    total, count = 0.0, 0
+    for i in range(len(rays)):
+        _moved(T, rays[i], 0.0, point)
+        if point[2] < 0.1:
+            continue
+        residual = photometric_row(point, light[i], image, fx, fy, cx, cy, row)
+        if np.isfinite(residual):
+            _add(A, b, row, residual, 1.0)
+            total += residual * residual
+            count += 1
+    return A, b, total / count if count > len(rays) // 2 else np.inf
