@@ -38,9 +38,9 @@ def cabinet(x: float, y: float, yaw: float = 0.0) -> OrientedBox:
     return OrientedBox(np.array([x, y, 0.45]), rotation_z(yaw), np.array([0.5, 0.7, 0.9]))
 
 
-def screen(x: float, y: float) -> OrientedBox:
+def screen(x: float, y: float, width: float = 0.6) -> OrientedBox:
     """Hides what stands behind it."""
-    return OrientedBox(np.array([x, y, 1.0]), np.eye(3), np.array([0.05, 0.6, 2.0]))
+    return OrientedBox(np.array([x, y, 1.0]), np.eye(3), np.array([0.05, width, 2.0]))
 
 
 def pillar(x: float, y: float) -> OrientedBox:

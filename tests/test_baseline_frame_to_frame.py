@@ -40,12 +40,15 @@ def motion_errors(
 
 @pytest.mark.parametrize("with_ids", [True, False])
 def test_a_box_slides_at_known_speed(with_ids: bool) -> None:
+    """11 cm a frame."""
     truth = [cabinet(2.5 + 0.05 * i, -0.6 + 0.1 * i, yaw=0.5) for i in range(12)]
     scenes = [look(i, [box]) for i, box in enumerate(truth)]
     tracked = follow(scenes if with_ids else [without_ids(s) for s in scenes])
     assert {entry.track_id for frame in tracked for entry in frame} == {0}
     metres, degrees = motion_errors([frame[0] for frame in tracked], truth)
     assert metres.max() < 0.03 and degrees.max() < 3
+    places = np.array([frame[0].S_world_canonical.t for frame in tracked])
+    np.testing.assert_allclose(np.diff(places, axis=0), [[0.05, 0.1, 0]] * 11, atol=0.01)
     assert all(frame[0].class_id == CABINET and frame[0].observed for frame in tracked)
 
 
@@ -53,7 +56,18 @@ def test_a_box_turns_about_itself() -> None:
     truth = [cabinet(2.5, 0.1, yaw=0.3 + np.radians(8) * i) for i in range(12)]
     tracked = follow([look(i, [box]) for i, box in enumerate(truth)])
     metres, degrees = motion_errors([frame[0] for frame in tracked], truth)
-    assert metres.max() < 0.05 and degrees.max() < 4  # the seen sides change: 88 degrees in all
+    assert metres.max() < 0.03 and degrees.max() < 3  # the seen sides change: 88 degrees in all
+
+
+def test_a_box_passes_behind_a_narrow_occluder() -> None:
+    truth = [cabinet(3.0, 0.6 - 0.08 * i, yaw=0.5) for i in range(14)]
+    scenes = [look(i, [box], [screen(1.6, 0.0, width=0.2)]) for i, box in enumerate(truth)]
+    pixels = [int(seen.masks.masks.sum()) for seen in scenes]
+    assert 0 < min(pixels) < 0.6 * max(pixels)  # never out of sight, in two pieces meanwhile
+    entries = [frame[0] for frame in follow(scenes)]
+    assert all(entry.observed and entry.track_id == 0 for entry in entries)
+    metres, degrees = motion_errors(entries, truth)
+    assert metres.max() < 0.1 and degrees.max() < 10  # of 1.04 m
 
 
 def test_a_box_passes_behind_an_occluder_and_keeps_its_identity() -> None:
@@ -68,7 +82,9 @@ def test_a_box_passes_behind_an_occluder_and_keeps_its_identity() -> None:
     assert entries[hidden[-1] + 1].state is TrackState.RE_FOUND
     seen = [i for i in range(20) if i not in hidden]
     metres, _ = motion_errors([entries[i] for i in seen], [truth[i] for i in seen])
-    assert metres[: hidden[0]].max() < 0.08 and metres.max() < 0.4
+    # It vanishes with its left edge and returns with its right one: frame to frame, no surface is
+    # seen in both, and the motion between them (0.44 m) is a guess.
+    assert metres[: hidden[0]].max() < 0.08 and metres.max() < 0.35
 
 
 def test_a_box_at_rest_rests_while_the_camera_moves() -> None:
@@ -98,12 +114,10 @@ def test_two_boxes_change_places_without_identities_of_masks() -> None:
     pairs = zip(ahead, behind, strict=True)
     scenes = [without_ids(look(i, list(pair))) for i, pair in enumerate(pairs)]
     tracked = follow(scenes)
-    for track_id, truth in ((0, ahead), (1, behind)):
-        entries = [next(e for e in frame if e.track_id == track_id) for frame in tracked]
-        seen = [i for i, e in enumerate(entries) if e.observed]
-        metres, _ = motion_errors([entries[i] for i in seen], [truth[i] for i in seen])
-        assert metres[:5].max() < 0.03
-    assert len({e.track_id for frame in tracked for e in frame}) <= 3
+    assert all([e.track_id for e in frame if e.observed] == [0, 1] for frame in tracked)
+    for track_id, truth in enumerate((ahead, behind)):
+        metres, degrees = motion_errors([frame[track_id] for frame in tracked], truth)
+        assert metres.max() < 0.05 and degrees.max() < 4
 
 
 def test_small_weak_and_empty_masks() -> None:

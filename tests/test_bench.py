@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from composenet import cli
 from composenet.baselines import registry
 from composenet.baselines.records import Cameras
-from composenet.commands import bench, evaluate
-from composenet.commands.evaluate import VARIANTS
+from composenet.commands import bench, jobs
+from composenet.commands.score_cache import ScoreCache
+from composenet.commands.scoring import VARIANTS, ScoredSequence
 from composenet.errors import DataError
+from composenet.metrics.clear import ClearScores
+from composenet.metrics.evaluate import SequenceScores
+from composenet.metrics.hota import hota_scores
+from composenet.metrics.identity import IdentityScores
 from composenet.synth.dataset import write_split
 from composenet.synth.scene import SceneOptions
 
@@ -68,25 +78,35 @@ def numbers(out: Path) -> dict:
     return rows
 
 
-def test_the_f2f_gt_row_resumes_and_is_the_same_for_any_number_of_workers(
+def test_the_f2f_gt_row_is_the_same_for_any_number_of_workers_and_after_an_interruption(
     run, three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    asked = ["--data", three, "--methods", "f2f-gt"]
+    """Two processes, undisturbed, against one that ctrl-C stops while the third sequence is read:
+    an image of it is a pipe that nobody writes to."""
+    data, two, one = tmp_path / "data", tmp_path / "two", tmp_path / "one"
+    asked = ["--data", data, "--methods", "f2f-gt"]
+    shutil.copytree(three, data)
     assert run(*asked, "--out", two, "--workers", 2) == 0
-    monkeypatch.setattr(evaluate, "_pool", Here)
-    assert run(*asked, "--out", one) == 0
-    rows = numbers(one)
-    assert rows == numbers(two) and list(rows) == ["f2f-gt"]
+    rows = numbers(two)
     row = rows["f2f-gt"]
-    assert row["sequences"] == 3 and row["mota_mean"] > 60 and row["id_switches"] == 0
+    assert list(rows) == ["f2f-gt"] and row["sequences"] == 3
+    assert row["mota_mean"] > 90 and row["id_switches"] == 0
     assert row["det_map25"] is None  # it says nothing of single frames
 
-    text = (one / "results.md").read_text()
-    assert "Camera poses: given to all alike." in text
-    assert "f2f-gt: true masks, classes and identities." in text and "true centre" in text
+    image = sorted((data / "val_00002" / "instance").iterdir())[4]
+    image.rename(tmp_path / "image.png")
+    os.mkfifo(image)
+    program = [sys.executable, "-m", "composenet", "bench", *map(str, asked), "--out", str(one)]
+    stopped = subprocess.Popen(program, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    kept = [one / "sequences" / f"val_0000{i}.f2f-gt.pkl" for i in range(3)]
+    while stopped.poll() is None and not kept[1].exists():
+        time.sleep(0.05)
+    os.killpg(stopped.pid, signal.SIGINT)
+    _, errors = stopped.communicate(timeout=60)
+    assert (stopped.returncode, errors) == (130, "composenet: interrupted\n")
+    assert [path.exists() for path in kept] == [True, True, False]
+    (tmp_path / "image.png").replace(image)
 
-    (one / "sequences" / "val_00001.f2f-gt.pkl").unlink()  # only this one is run again
     again = []
     real = bench.score_method
 
@@ -95,8 +115,46 @@ def test_the_f2f_gt_row_resumes_and_is_the_same_for_any_number_of_workers(
         return real(folder, name, **others)
 
     monkeypatch.setattr(bench, "score_method", noted)
+    monkeypatch.setattr(jobs, "worker_pool", Here)
     assert run(*asked, "--out", one) == 0
-    assert again == [("val_00001", "f2f-gt")] and numbers(one) == rows
+    assert again == [("val_00002", "f2f-gt")] and numbers(one) == rows
+    text = (one / "results.md").read_text()
+    assert "Camera poses: given to all alike." in text
+    assert "f2f-gt: true masks, classes and identities." in text and "true centre" in text
+
+
+def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> None:
+    row = registry.ROWS["f2f-gt"]
+    shifted, seen = (
+        bench.score_system(three / "val_00000", row, Cameras.GIVEN, shifted=shifted)
+        for shifted in (True, False)
+    )
+    assert shifted.scores.clear.mota > seen.scores.clear.mota + 0.3
+
+
+def dies_of_one(folder: Path, name: str) -> ScoredSequence:
+    """Work for a process: one folder kills it, one fails."""
+    if folder.name == "deadly":
+        os._exit(1)
+    if folder.name == "broken":
+        raise ZeroDivisionError(name)
+    scores = SequenceScores(ClearScores(tp=3), (), IdentityScores(), hota_scores([]))
+    return ScoredSequence(scores, (), ())
+
+
+def test_a_process_that_dies_takes_no_other_sequence_along(tmp_path: Path) -> None:
+    names = ["first", "broken", "deadly", "last"]
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "annotations.json").write_text("{}")
+    work = [("row", tmp_path / name) for name in names]
+    cache = ScoreCache(tmp_path / "kept", Path(os.devnull))
+    outcomes = jobs.run_jobs(work, dies_of_one, cache, 1, Console(quiet=True))
+    assert list(outcomes) == work  # in order, none dropped
+    first, broken, deadly, last = outcomes.values()
+    assert isinstance(first, ScoredSequence) and isinstance(last, ScoredSequence)
+    assert deadly == jobs.DIED and str(broken).startswith("ZeroDivisionError: row (test_bench.py")
+    assert sorted(p.name for p in cache.folder.iterdir()) == ["first.row.pkl", "last.row.pkl"]
 
 
 def test_a_failing_sequence_is_named_and_the_others_are_scored(
@@ -105,28 +163,31 @@ def test_a_failing_sequence_is_named_and_the_others_are_scored(
     data, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(three, data)
     shutil.rmtree(data / "val_00001" / "instance")
-    monkeypatch.setattr(evaluate, "_pool", Here)
+    monkeypatch.setattr(jobs, "worker_pool", Here)
     assert run("--data", data, "--methods", "f2f-gt", "--out", out) == 1
     errors = capsys.readouterr().err
     assert "not scored: val_00001 (f2f-gt)" in errors and "no readable instance image" in errors
     assert errors.count("\n") == 1 and "Traceback" not in errors
     assert numbers(out)["f2f-gt"]["sequences"] == 2
     assert "not scored: val_00001 (f2f-gt)" in (out / "results.md").read_text()
+    (line,) = json.loads((out / "results.json").read_text())["not_scored"]
+    assert "val_00001 (f2f-gt)" in line
 
 
-@pytest.mark.parametrize("camera", list(Cameras))
+@pytest.mark.parametrize(
+    ("camera", "methods"), [(Cameras.GIVEN, "full,f2f-gt"), (Cameras.ESTIMATED, "no-corr")]
+)
 def test_our_variants_stand_in_the_same_table(
-    run, camera: Cameras, recordings: Path, tiny_weights: Path, tmp_path: Path,
+    run, camera: Cameras, methods: str, recordings: Path, tiny_weights: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     data = tmp_path / "data"
     shutil.copytree(recordings / "val_00000", data / "val_00000")
-    monkeypatch.setattr(evaluate, "_pool", Here)
-    methods = "full,f2f-gt,no-corr"
+    monkeypatch.setattr(jobs, "worker_pool", Here)
     common = ["--data", data, "--out", tmp_path / "out", "--weights", tiny_weights]
     assert run(*common, "--methods", methods, "--camera", camera.value) == 0
     results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert list(results["variants"]) == ["f2f-gt", "no-corr", "full"]
+    assert list(results["variants"]) == [n for n in ("f2f-gt", "no-corr", "full") if n in methods]
     assert results["weights"].startswith("tiny.safetensors")
     text = (tmp_path / "out" / "results.md").read_text()
     assert f"Camera poses: {camera.value}" in text

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from composenet import cli
-from composenet.commands import evaluate
+from composenet.commands import evaluate, jobs
 from composenet.commands.score_cache import ScoreCache
 from composenet.errors import DataError
 from composenet.predictions import read_predictions
@@ -157,13 +157,14 @@ def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Pat
 
 def test_perfect_predictions_score_perfectly(recordings: Path, tracked: Path) -> None:
     """The truth itself, in the world of the tracker, has MOTA 1: frames and ids line up."""
+    from composenet.commands.scoring import moved_truth
     from composenet.metrics.evaluate import evaluate_sequence
     from composenet.records import Similarity, TrackedObject, TrackState
 
     truth = read_truth(recordings / "val_00000")
     shift = np.eye(4)
     shift[:3, 3] = (3.0, -2.0, 0.5)
-    moved = evaluate.moved_truth(truth, shift)
+    moved = moved_truth(truth, shift)
     classes = {item.gt_id: item for item in truth.objects}
     frames = [
         tuple(
@@ -210,7 +211,8 @@ class _Here:
 def kept(out: Path, name: str) -> dict:
     """All scores of a finished sequence, but for its times."""
     _, _, stored = (out / "sequences" / f"{name}.full.pkl").read_bytes().partition(b"\n")
-    return dataclasses.asdict(dataclasses.replace(pickle.loads(stored), seconds_per_frame=()))
+    scores = pickle.loads(stored).scores
+    return dataclasses.asdict(dataclasses.replace(scores, seconds_per_frame=()))
 
 
 def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
@@ -219,7 +221,7 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     common = ["eval", "--data", recordings, "--weights", tiny_weights]
     one, two = tmp_path / "one", tmp_path / "two"
     assert run(*common, "--out", two, "--workers", 2) == 0
-    monkeypatch.setattr(evaluate, "_pool", lambda _: _Here())
+    monkeypatch.setattr(jobs, "worker_pool", lambda _: _Here())
     again = [*common, "--out", one]
     assert run(*again) == 0
     assert numbers(one)["full"] == numbers(two)["full"]
@@ -247,7 +249,7 @@ def test_one_bad_sequence_does_not_stop_the_others(
     data = tmp_path / "data"
     shutil.copytree(recordings, data)
     shutil.rmtree(data / "val_00000" / "depth")
-    monkeypatch.setattr(evaluate, "_pool", lambda _: _Here())
+    monkeypatch.setattr(jobs, "worker_pool", lambda _: _Here())
     common = ["eval", "--data", data, "--out", tmp_path / "out"]
     assert run(*common, "--weights", tiny_weights) == 1
     errors = capsys.readouterr().err

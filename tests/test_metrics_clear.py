@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from composenet.metrics.clear import ClearScores, Convention, clear_mot, drop_ignored
+from composenet.metrics.clear import (
+    ClearScores,
+    Convention,
+    FrameErrors,
+    clear_mot,
+    drop_ignored,
+    frame_errors,
+)
 from composenet.metrics.hota import hota_scores
 from composenet.metrics.identity import identity_scores
 from composenet.metrics.records import FrameEvaluation, TrackingFrame
@@ -216,6 +223,29 @@ def test_against_every_assignment(seed):
     frames = random_frames(np.random.default_rng(seed), objects=3, tracks=3)
     score = clear_mot(frames)
     assert (score.tp, score.id_switches) == slow_counts(frames, 0.25)
+
+
+def test_errors_of_single_frames():
+    frames = line("AAA./BBBB", "aab./.b.b")
+    a, b, c = ord("A"), ord("B"), ord("b")
+    assert frame_errors(frames) == [
+        FrameErrors((b,), (), ()),
+        FrameErrors((), (), ()),
+        FrameErrors((b,), (), (a,)),
+        FrameErrors((), (), ()),
+    ]
+    beside = [frame([0], [1, 2], [[0.1, 0.2]]), frame([], [c], [])]
+    assert frame_errors(beside) == [FrameErrors((), (2,), ()), FrameErrors((), (c,), ())]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_errors_of_frames_add_up(seed):
+    frames = random_frames(np.random.default_rng(seed))
+    score, errors = clear_mot(frames), frame_errors(frames)
+    kinds = [(len(e.missed), len(e.false), len(e.switched)) for e in errors]
+    totals = (score.fn, score.fp, score.id_switches)
+    assert tuple(sum(column) for column in zip(*kinds, strict=True)) == totals
+    assert sum(e.count for e in errors) == sum(totals)
 
 
 @pytest.mark.parametrize("convention", BOTH)

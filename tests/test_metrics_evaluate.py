@@ -285,7 +285,7 @@ def test_results_file(tmp_path):
     write_results(tmp_path / "results.json", info, {"full": full, "no-corr": only_tracks})
     data = json.loads((tmp_path / "results.json").read_text())
     origin = ["data", "commit", "seed", "hardware", "date", "command", "weights"]
-    assert list(data) == [*origin, "variants"]
+    assert list(data) == [*origin, "variants", "not_scored"]
     assert (data["data"], data["seed"]) == ("tiny", 3)
     assert data["commit"] and "cores" in data["hardware"]
     assert [list(variant) for variant in data["variants"].values()] == [KEYS, KEYS]

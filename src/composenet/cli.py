@@ -139,7 +139,7 @@ class TrackCommand:
 
     def run(self) -> int:
         """Exit code."""
-        from composenet.commands.evaluate import VARIANTS
+        from composenet.commands.scoring import VARIANTS
         from composenet.commands.track import run_track
 
         return run_track(
@@ -196,7 +196,7 @@ class Bench:
     out: Path
     """folder for results.json and results.md; finished sequences are kept there"""
     methods: str = "all"
-    """all, or comma-separated: f2f-gt, no-corr-no-compl, no-corr, no-compl, full"""
+    """all, or comma-separated: maskfusion, f2f-gt, no-corr-no-compl, no-corr, no-compl, full"""
     camera: CameraPoses = "given"
     """camera poses: the recording's, or each method's own but for the first frame"""
     weights: Path | None = None

@@ -16,20 +16,19 @@ from composenet.baselines.records import Cameras, Row
 from composenet.baselines.registry import ROWS
 from composenet.baselines.run import run_system
 from composenet.baselines.start_shift import start_at_true_centres
-from composenet.commands.evaluate import (
+from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines, run_jobs
+from composenet.commands.score_cache import ScoreCache
+from composenet.commands.scoring import (
     VARIANTS,
-    Job,
-    Outcome,
-    _aggregated,
-    _score_all,
+    ScoredSequence,
     moved_truth,
     score_sequence,
+    score_tracks,
     sequence_folders,
     tall_table,
 )
-from composenet.commands.score_cache import ScoreCache
 from composenet.errors import DataError
-from composenet.metrics.evaluate import DatasetScores, SequenceScores, evaluate_sequence
+from composenet.metrics.evaluate import DatasetScores
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
@@ -69,15 +68,12 @@ def run_bench(
         made_of = _weights_of(name, asked)
         cache = ScoreCache(out / "sequences", made_of or Path(os.devnull), camera, device)
         work = partial(score_method, asked=asked)
-        outcomes |= _score_all(
-            [(name, folder) for folder in folders], work, cache, workers, console
-        )
-    failed = {job: outcome for job, outcome in outcomes.items() if isinstance(outcome, str)}
-    lines = [f"not scored: {job[1].name} ({job[0]}): {reason}" for job, reason in failed.items()]
-    scores = _aggregated(outcomes)
+        jobs = [(name, folder) for folder in folders]
+        outcomes |= run_jobs(jobs, work, cache, workers, console)
+    scores, lines = aggregated(outcomes), failure_lines(outcomes)
     if scores:
         info = _origin(data, names, asked)
-        write_results(out / "results.json", info, scores)
+        write_results(out / "results.json", info, scores, lines)
         (out / "results.md").write_text(markdown(info, scores, camera, lines))
         for section in sections(scores)[:2]:
             console.print(tall_table(section))
@@ -85,7 +81,7 @@ def run_bench(
         console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
-    return 1 if failed else 0
+    return 1 if lines else 0
 
 
 def chosen_methods(asked: Sequence[str]) -> list[str]:
@@ -97,20 +93,18 @@ def chosen_methods(asked: Sequence[str]) -> list[str]:
     return [name for name in METHODS if "all" in asked or name in asked]
 
 
-def score_method(folder: Path, name: str, *, asked: Asked) -> SequenceScores:
+def score_method(folder: Path, name: str, *, asked: Asked) -> ScoredSequence:
     """One row over one sequence."""
     if name in ROWS:
         row = ROWS[name]
         return score_system(folder, row, asked.cameras, shifted=True)
     assert asked.weights is not None
     if asked.cameras is Cameras.GIVEN:
-        return score_sequence(
-            folder, name, weights=asked.weights, device=asked.device, offline=False
-        )
+        return score_sequence(folder, name, weights=asked.weights, device=asked.device)
     return score_system(folder, _own_row(name, asked), asked.cameras, shifted=False)
 
 
-def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> SequenceScores:
+def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> ScoredSequence:
     """Track one sequence and score the tracks. shifted: they begin at the true centres."""
     sequence = open_sequence(folder)
     run = run_system(row.make(cameras), row.masks(folder), sequence, cameras)
@@ -119,7 +113,7 @@ def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> 
     tracked = [run.tracked.get(index, ()) for index in range(len(truth.frames))]
     if shifted:
         tracked = start_at_true_centres(truth, tracked)
-    return evaluate_sequence(truth, tracked, seconds_per_frame=run.seconds)
+    return score_tracks(truth, tracked, seconds_per_frame=run.seconds)
 
 
 def markdown(

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.commands.evaluate import score_folder, tall_table
+from composenet.commands.evaluate import score_folder
+from composenet.commands.scoring import tall_table
 from composenet.commands.track import INTERRUPTED_EXIT_CODE, summary, track_recording
 from composenet.metrics.evaluate import aggregate
 from composenet.metrics.report import RunInfo, sections, write_results
@@ -33,7 +34,7 @@ def run_demo(out: Path, *, device: str, frames: int, weights: Path | None = None
     if not run.complete:
         return INTERRUPTED_EXIT_CODE
     console.print("3/3 scoring it against the generator's ground truth")
-    scores = {"full": aggregate([score_folder(recording, result)])}
+    scores = {"full": aggregate([score_folder(recording, result).scores])}
     write_results(out / "results.json", RunInfo(f"val_{DEMO_INDEX:05d}", seed=0), scores)
     console.print(tall_table(sections(scores)[0]))
     console.print(summary(run, result), highlight=False, soft_wrap=True)

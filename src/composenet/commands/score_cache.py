@@ -1,4 +1,4 @@
-"""Scores of finished sequences on disk, so that an interrupted `composenet eval` goes on."""
+"""Scores of finished sequences on disk, so that an interrupted command goes on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pickle
 from pathlib import Path
 
 import composenet
-from composenet.metrics.evaluate import SequenceScores
+from composenet.commands.scoring import ScoredSequence
 
 
 class ScoreCache:
@@ -21,7 +21,7 @@ class ScoreCache:
         for path in (weights, *_sources()):
             self._common.update(hashlib.sha256(path.read_bytes()).digest())
 
-    def load(self, sequence: Path, variant: str) -> SequenceScores | None:
+    def load(self, sequence: Path, variant: str) -> ScoredSequence | None:
         """The scores, None where they are missing or of another making."""
         path = self._path(sequence, variant)
         if not path.is_file():
@@ -29,7 +29,7 @@ class ScoreCache:
         key, _, stored = path.read_bytes().partition(b"\n")
         return pickle.loads(stored) if key == self._key(sequence, variant) else None
 
-    def save(self, sequence: Path, variant: str, scores: SequenceScores) -> None:
+    def save(self, sequence: Path, variant: str, scores: ScoredSequence) -> None:
         """Keep the scores; the file appears whole."""
         path = self._path(sequence, variant)
         partial = path.with_suffix(".partial")

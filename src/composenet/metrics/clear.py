@@ -78,6 +78,20 @@ class ClearScores:
 
 
 @dataclass(frozen=True)
+class FrameErrors:
+    """The errors of one frame. missed, switched: gt_ids; false: track_ids."""
+
+    missed: tuple[int, ...]
+    false: tuple[int, ...]
+    switched: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """Of all three kinds."""
+        return len(self.missed) + len(self.false) + len(self.switched)
+
+
+@dataclass(frozen=True)
 class Matches:
     """One-to-one matches of a frame: rows (M,) into gt_ids, columns (M,) into track_ids."""
 
@@ -102,13 +116,29 @@ def clear_mot(
         tp=tp,
         fn=sum(len(frame.gt_ids) for frame in frames) - tp,
         fp=sum(len(frame.track_ids) for frame in frames) - tp,
-        id_switches=_count_switches(frames, matches),
+        id_switches=sum(map(len, _switches(frames, matches))),
         fragmentations=_count_fragments(frames, matches, convention),
         mostly_tracked=mostly,
         partly_tracked=partly,
         mostly_lost=lost,
         distance_sum_m=distance,
     )
+
+
+def frame_errors(
+    frames: Sequence[TrackingFrame], gate_m: float = MATCH_GATE_M
+) -> list[FrameErrors]:
+    """Which objects and tracks of each frame MOTA counts against a system."""
+    matches = correspondences(frames, gate_m)
+    switched = _switches(frames, matches)
+    return [
+        FrameErrors(
+            tuple(np.delete(frame.gt_ids, match.rows).tolist()),
+            tuple(np.delete(frame.track_ids, match.columns).tolist()),
+            tuple(now),
+        )
+        for frame, match, now in zip(frames, matches, switched, strict=True)
+    ]
 
 
 def correspondences(
@@ -192,15 +222,15 @@ def _match_carrying_forward(frame: TrackingFrame, known: dict[int, int], gate_m:
     )
 
 
-def _count_switches(frames: Sequence[TrackingFrame], matches: Sequence[Matches]) -> int:
-    """Matches to another track than the object's last one, however long ago."""
+def _switches(frames: Sequence[TrackingFrame], matches: Sequence[Matches]) -> list[list[int]]:
+    """The gt_ids of each frame matched to another track than their last one, however long ago."""
     last: dict[int, int] = {}
-    switches = 0
+    switched = []
     for frame, match in zip(frames, matches, strict=True):
         pairs = _pairs(frame, match)
-        switches += sum(last.get(gt_id, track_id) != track_id for gt_id, track_id in pairs)
+        switched.append([gt_id for gt_id, track in pairs if last.get(gt_id, track) != track])
         last.update(pairs)
-    return switches
+    return switched
 
 
 def _count_fragments(

@@ -14,7 +14,7 @@ from composenet.metrics.hota import HotaScores, hota_scores
 from composenet.metrics.identity import IdentityScores, identity_scores
 from composenet.metrics.objects import ObjectScores, PosedTruth, join_outcomes, score_objects
 from composenet.metrics.pose import PoseScores, pose_scores
-from composenet.metrics.records import COUNTED_PIXELS, FrameEvaluation
+from composenet.metrics.records import COUNTED_PIXELS, FrameEvaluation, TrackingFrame
 from composenet.records import (
     CLASS_NAMES,
     Frame,
@@ -112,10 +112,7 @@ def evaluate_sequence(
                 "give one list a frame, empty where nothing was found"
             )
     present = posed_truths(truth)
-    evaluated = [
-        _frame_evaluation(index, *pair)
-        for index, pair in enumerate(zip(present, tracked, strict=True))
-    ]
+    evaluated = _evaluated(present, tracked)
     all_classes = drop_ignored(evaluated)
     return SequenceScores(
         clear=clear_mot(all_classes),
@@ -128,6 +125,14 @@ def evaluate_sequence(
         objects=None if estimates is None else score_objects(present, estimates, frames),
         seconds_per_frame=tuple(seconds_per_frame),
     )
+
+
+def tracking_frames(
+    truth: SequenceTruth, tracked: Sequence[Sequence[TrackedObject]]
+) -> list[TrackingFrame]:
+    """What the tracking metrics see of a sequence: ids and distances, without what is ignored.
+    tracked: one entry for every frame of the truth. Raises DataError."""
+    return drop_ignored(_evaluated(posed_truths(truth), tracked))
 
 
 def posed_truths(truth: SequenceTruth) -> list[list[PosedTruth]]:
@@ -185,6 +190,13 @@ def bootstrap_interval(values: np.ndarray, samples: int = 2000) -> tuple[float, 
     picks = np.random.default_rng(0).integers(len(values), size=(samples, len(values)))
     low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)
+
+
+def _evaluated(
+    present: Sequence[Sequence[PosedTruth]], tracked: Sequence[Sequence[TrackedObject]]
+) -> list[FrameEvaluation]:
+    pairs = enumerate(zip(present, tracked, strict=True))
+    return [_frame_evaluation(index, *pair) for index, pair in pairs]
 
 
 def _frame_evaluation(

@@ -74,8 +74,11 @@ class Section:
     rows: tuple[tuple[str, ...], ...]
 
 
-def results(info: RunInfo, variants: Mapping[str, DatasetScores]) -> dict[str, Any]:
-    """What results.json holds: shares as percentages, null where undefined."""
+def results(
+    info: RunInfo, variants: Mapping[str, DatasetScores], failures: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What results.json holds: shares as percentages, null where undefined. failures: one line for
+    every sequence that could not be scored."""
     return {
         "data": info.data,
         "commit": info.commit,
@@ -85,13 +88,20 @@ def results(info: RunInfo, variants: Mapping[str, DatasetScores]) -> dict[str, A
         "command": info.command,
         "weights": info.weights,
         "variants": {name: _variant(scores) for name, scores in variants.items()},
+        "not_scored": list(failures),
     }
 
 
-def write_results(path: Path, info: RunInfo, variants: Mapping[str, DatasetScores]) -> None:
+def write_results(
+    path: Path,
+    info: RunInfo,
+    variants: Mapping[str, DatasetScores],
+    failures: Sequence[str] = (),
+) -> None:
     """Write results.json, whole or not at all."""
     partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(json.dumps(results(info, variants), indent=2, allow_nan=False) + "\n")
+    data = results(info, variants, failures)
+    partial.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
     partial.replace(path)
 
 
