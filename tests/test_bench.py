@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -185,12 +186,16 @@ def test_our_variants_stand_in_the_same_table(
     shutil.copytree(recordings / "val_00000", data / "val_00000")
     monkeypatch.setattr(jobs, "worker_pool", Here)
     common = ["--data", data, "--out", tmp_path / "out", "--weights", tiny_weights]
-    assert run(*common, "--methods", methods, "--camera", camera.value) == 0
+    page = tmp_path / "docs" / "benchmark.md"
+    common += ["--methods", methods, "--camera", camera.value, "--report", page]
+    assert run(*common) == 0
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(results["variants"]) == [n for n in ("f2f-gt", "no-corr", "full") if n in methods]
     assert results["weights"].startswith("tiny.safetensors")
-    text = (tmp_path / "out" / "results.md").read_text()
-    assert f"Camera poses: {camera.value}" in text
+    text = page.read_text()
+    assert f"Camera poses: {camera.value}" in text and "## Where each system fails" in text
+    assert all((page.parent / link).is_file() for link in re.findall(r"\]\((.*)\)", text))
+    assert not (tmp_path / "out" / "results.md").exists()
 
 
 def test_the_rows_and_their_order() -> None:

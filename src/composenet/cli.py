@@ -194,9 +194,10 @@ class Bench:
     data: Path
     """folder of sequences from `composenet synth`"""
     out: Path
-    """folder for results.json and results.md; finished sequences are kept there"""
+    """folder for results.json and results.md (with pictures); finished sequences are kept there"""
     methods: str = "all"
-    """all, or comma-separated: maskfusion, f2f-gt, no-corr-no-compl, no-corr, no-compl, full"""
+    """all, or comma-separated: f2f-gt, maskfusion-gt-masks, no-corr-no-compl,
+    no-corr, no-compl, full"""
     camera: CameraPoses = "given"
     """camera poses: the recording's, or each method's own but for the first frame"""
     weights: Path | None = None
@@ -205,6 +206,8 @@ class Bench:
     """auto, cpu, cuda or cuda:N"""
     workers: Count = 1
     """processes"""
+    report: Path | None = None
+    """Markdown page to write instead of OUT/results.md; its pictures lie in a folder of its name"""
 
     def run(self) -> int:
         """Exit code."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from composenet.baselines.records import Cameras, Row
 from composenet.baselines.registry import ROWS
 from composenet.baselines.run import run_system
 from composenet.baselines.start_shift import start_at_true_centres
+from composenet.commands.bench_page import write_page
 from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines, run_jobs
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
@@ -28,8 +29,7 @@ from composenet.commands.scoring import (
     tall_table,
 )
 from composenet.errors import DataError
-from composenet.metrics.evaluate import DatasetScores
-from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
+from composenet.metrics.report import RunInfo, sections, write_results
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 
@@ -55,9 +55,10 @@ def run_bench(
     weights: Path | None,
     device: str,
     workers: int,
+    report: Path | None = None,
 ) -> int:
     """The command. Finished sequences are kept in `out`, so that a run can be resumed. A sequence
-    that a method fails on is named in the table and makes the exit code 1."""
+    that a method fails on is named under the table and makes the exit code 1."""
     console = Console()
     names = chosen_methods(methods)
     folders = sequence_folders(data)
@@ -74,10 +75,11 @@ def run_bench(
     if scores:
         info = _origin(data, names, asked)
         write_results(out / "results.json", info, scores, lines)
-        (out / "results.md").write_text(markdown(info, scores, camera, lines))
+        page = report or out / "results.md"
+        write_page(page, info, outcomes, camera)
         for section in sections(scores)[:2]:
             console.print(tall_table(section))
-        paths = f"{out / 'results.json'} and {out / 'results.md'}"
+        paths = f"{out / 'results.json'} and {page}"
         console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
@@ -114,28 +116,6 @@ def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> 
     if shifted:
         tracked = start_at_true_centres(truth, tracked)
     return score_tracks(truth, tracked, seconds_per_frame=run.seconds)
-
-
-def markdown(
-    info: RunInfo, scores: Mapping[str, DatasetScores], cameras: Cameras, failures: Sequence[str]
-) -> str:
-    """The tables, what each row was told, and what could not be scored."""
-    told = [f"- {name}: {ROWS[name].told}." for name in scores if name in ROWS]
-    notes = [
-        f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
-        "",
-    ]
-    if told:
-        notes += [
-            "Rows that see surfaces only begin every track at the true centre of its object (its "
-            "first frame is moved there, and the estimated motion carries it on). The ComPoseNet "
-            f"rows ({', '.join(VARIANTS)}) are not helped so, and are told no ground truth. "
-            "The others are told:",
-            "",
-            *told,
-            "",
-        ]
-    return "\n".join([to_markdown(info, scores), *notes, *(f"- {line}" for line in failures), ""])
 
 
 def _checked(names: Sequence[str], asked: Asked) -> Asked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+from collections.abc import Iterator
 from pathlib import Path
 
 import composenet
@@ -44,6 +45,14 @@ class ScoreCache:
         key.update(f"{sequence.resolve()} {variant}".encode())
         key.update((sequence / "annotations.json").read_bytes())
         return key.hexdigest().encode()
+
+
+def kept_sequences(folder: Path) -> Iterator[tuple[str, str, ScoredSequence]]:
+    """Name of the sequence, variant and scores of all that a cache's folder holds, whatever made
+    them. The files are pickles: open only folders that you trust."""
+    for path in sorted(folder.glob("*.pkl")):
+        name, variant, _ = path.name.split(".")
+        yield name, variant, pickle.loads(path.read_bytes().partition(b"\n")[2])
 
 
 def _sources() -> list[Path]:

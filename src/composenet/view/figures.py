@@ -11,6 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import project, resize_camera
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import CLASS_NAMES, Camera, FloatArray, Frame, TrackedObject, TrackState
@@ -115,8 +116,7 @@ def draw_objects(
         color = tuple(int(c) for c in track_color(entry.track_id))
         width = max(1, image.height // 200) if entry.observed else 1
         corners = apply_T(T_camera_world, box_corners(entry))
-        for a, b in _BOX_EDGES:
-            _draw_segment(draw, camera, corners[[a, b]], color, width)
+        _draw_edges(draw, camera, corners, color, width)
         mark = apply_T(T_camera_world, _in_world(entry, _FRONT_MARK))
         _draw_segment(draw, camera, mark, color, 2 * width)
         anchor = _label_anchor(corners, camera)
@@ -125,6 +125,38 @@ def draw_objects(
     taken: list[tuple[float, float, float, float]] = []
     for anchor, text, color in labels:
         taken.append(_draw_label(draw, anchor, text, color, font, taken))
+
+
+def draw_box(
+    image: Image.Image,
+    camera: Camera,
+    T_world_camera: FloatArray,
+    box: OrientedBox,
+    color: tuple[int, ...],
+    label: str = "",
+    width: int = 2,
+) -> None:
+    """Draw one oriented box of the world, with a label over it. camera: of an image of this
+    size."""
+    draw = ImageDraw.Draw(image)
+    in_world = (_BOX_CORNERS * box.extents) @ np.asarray(box.R).T + box.center
+    corners = apply_T(inverse_T(T_world_camera), in_world)
+    _draw_edges(draw, camera, corners, color, width)
+    anchor = _label_anchor(corners, camera) if label else None
+    if anchor is not None:
+        font = ImageFont.load_default(max(11, image.height // 38))
+        _draw_label(draw, anchor, label, color, font, ())
+
+
+def _draw_edges(
+    draw: ImageDraw.ImageDraw,
+    camera: Camera,
+    corners: FloatArray,
+    color: tuple[int, ...],
+    width: int,
+) -> None:
+    for a, b in _BOX_EDGES:
+        _draw_segment(draw, camera, corners[[a, b]], color, width)
 
 
 def _draw_segment(

@@ -1,0 +1,108 @@
+"""Where a system fails: its worst frames, with the true and the tracked boxes drawn in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from composenet.commands.scoring import ScoredSequence, moved_truth
+from composenet.geometry.box import OrientedBox
+from composenet.geometry.camera import resize_camera
+from composenet.metrics.clear import FrameErrors
+from composenet.metrics.evaluate import SEEN_STATES, posed_truths
+from composenet.records import CLASS_NAMES, Frame, TrackedObject
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import read_truth
+
+PICTURES = 3
+WIDTH = 480
+LEGEND = (
+    "Boxes of the ground truth are green where the object is found, yellow where it is missed, "
+    "violet where it is found under a new identity, and grey where too little of it is seen to "
+    "count; tracked boxes are red where MOTA counts a false positive, else blue."
+)
+_FOUND, _MISSED, _SWITCHED, _IGNORED = (40, 160, 70), (214, 150, 0), (160, 60, 200), (150, 150, 150)
+_FALSE, _RIGHT = (214, 40, 50), (60, 110, 240)
+_ColoredBox = tuple[OrientedBox, tuple[int, int, int], str]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One frame of a sequence, and what MOTA counts against the system there."""
+
+    folder: Path
+    frame: int
+    errors: FrameErrors
+
+    @property
+    def caption(self) -> str:
+        """Where it is and what went wrong."""
+        errors = self.errors
+        counts = {
+            "missed": len(errors.missed),
+            "false": len(errors.false),
+            "of changed identity": len(errors.switched),
+        }
+        wrong = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        return f"{self.folder.name}, frame {self.frame}: {wrong}"
+
+
+def worst_frames(
+    scored: Mapping[Path, ScoredSequence], count: int = PICTURES
+) -> tuple[Failure, ...]:
+    """The frames with most errors, by sequence folder: first the worst of each sequence, then the
+    second worst of each, and so on; frames without errors are none."""
+    ranked: list[tuple[int, Failure]] = []
+    for folder, sequence in scored.items():
+        failures = [Failure(folder, i, e) for i, e in enumerate(sequence.errors) if e.count]
+        failures.sort(key=lambda failure: -failure.errors.count)
+        ranked += enumerate(failures)
+    ranked.sort(key=lambda item: (item[0], -item[1].errors.count))
+    return tuple(failure for _, failure in ranked[:count])
+
+
+def picture(failure: Failure, scored: ScoredSequence) -> Image.Image | None:
+    """The frame's image with its boxes; None where the frame cannot be read."""
+    sequence = open_sequence(failure.folder)
+    frame = next((frame for frame in sequence if frame.index == failure.frame), None)
+    if frame is None:
+        return None
+    truth = moved_truth(read_truth(failure.folder), sequence.T_level_source)
+    errors = failure.errors
+    boxes: list[_ColoredBox] = []
+    for item in posed_truths(truth)[failure.frame]:
+        T, gt_id = item.placed.T_world_object, item.truth.gt_id
+        color = _MISSED if gt_id in errors.missed else _FOUND
+        color = _SWITCHED if gt_id in errors.switched else color
+        if item.placed.visible_pixels == 0:
+            continue
+        label = "" if color is _FOUND else f"true {CLASS_NAMES[item.truth.class_id]}"
+        if item.ignored:
+            color, label = _IGNORED, ""
+        boxes.append((OrientedBox(T[:3, 3], T[:3, :3], item.truth.extents_m), color, label))
+    for entry in scored.tracked[failure.frame]:
+        if entry.state in SEEN_STATES:
+            wrong = entry.track_id in errors.false
+            label = f"{CLASS_NAMES[entry.class_id]} {entry.track_id}" if wrong else ""
+            boxes.append((_tracked_box(entry), _FALSE if wrong else _RIGHT, label))
+    return _drawn(frame, boxes)
+
+
+def _tracked_box(entry: TrackedObject) -> OrientedBox:
+    S = entry.S_world_canonical
+    return OrientedBox(S.t, S.R, entry.extents_m)
+
+
+def _drawn(frame: Frame, boxes: list[_ColoredBox]) -> Image.Image:
+    from composenet.view.figures import base_image, draw_box
+
+    height = round(WIDTH * frame.camera.height / frame.camera.width)
+    camera = resize_camera(frame.camera, WIDTH, height)
+    size = (WIDTH, height)
+    image = Image.fromarray(base_image(frame)).resize(size, Image.Resampling.BICUBIC)
+    for box, color, label in sorted(boxes, key=lambda item: bool(item[2])):
+        draw_box(image, camera, frame.T_world_camera, box, color, label, 2 if label else 1)
+    return image

@@ -1,0 +1,133 @@
+"""The benchmark's page: who leads, what is missing, and pictures of the frames that fail."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from composenet.baselines.records import Cameras
+from composenet.commands.bench_page import markdown, write_page
+from composenet.commands.failures import PICTURES, Failure, picture, worst_frames
+from composenet.commands.jobs import Job, Outcome
+from composenet.commands.scoring import ScoredSequence, moved_truth, score_tracks
+from composenet.metrics.clear import FrameErrors
+from composenet.metrics.report import RunInfo
+from composenet.records import Box, Similarity, TrackedObject, TrackState
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import read_truth
+
+MISSED, FALSE = (214, 150, 0), (214, 40, 50)
+INFO = RunInfo("tiny", 0, "composenet bench", "w")
+
+
+def perfect(folder: Path) -> list[list[TrackedObject]]:
+    """The truth itself as tracks, in the levelled world."""
+    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
+    objects = {item.gt_id: item for item in truth.objects}
+    return [
+        [
+            TrackedObject(
+                o.gt_id, i, objects[o.gt_id].class_id, TrackState.TRACKED, 1.0, o.box,
+                Similarity(1.0, o.T_world_object[:3, :3], o.box.center),
+                objects[o.gt_id].extents_m, True,
+            )
+            for o in frame
+        ]
+        for i, frame in enumerate(truth.frames)
+    ]  # fmt: skip
+
+
+def scored(folder: Path, tracked: list[list[TrackedObject]]) -> ScoredSequence:
+    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
+    return score_tracks(truth, tracked)
+
+
+@pytest.fixture(scope="module")
+def outcomes(recordings: Path) -> dict[Job, Outcome]:
+    """full is right; f2f-gt puts all tracks 1 m off in frame 3 of the first sequence, and fails on
+    the second one."""
+    first, second = sorted(recordings.glob("val_*"))
+    wrong = perfect(first)
+    off = np.array([1.0, 0, 0])
+    wrong[3] = [
+        replace(
+            e,
+            box=Box(e.box.center + off, e.box.extents),
+            S_world_canonical=replace(e.S_world_canonical, t=e.S_world_canonical.t + off),
+        )
+        for e in wrong[3]
+    ]
+    return {
+        ("f2f-gt", first): scored(first, wrong),
+        ("f2f-gt", second): "no depth in it",
+        ("full", first): scored(first, perfect(first)),
+        ("full", second): scored(second, perfect(second)),
+    }
+
+
+def test_the_page(outcomes: dict[Job, Outcome], tmp_path: Path) -> None:
+    page = tmp_path / "docs" / "benchmark.md"
+    (tmp_path / "docs" / "benchmark").mkdir(parents=True)
+    (tmp_path / "docs" / "benchmark" / "full-3.jpg").write_bytes(b"of a worse day")
+    write_page(page, INFO, outcomes, Cameras.GIVEN)
+    text = page.read_text()
+    assert text.startswith("# Benchmark: tiny\n")
+    assert "| f2f-gt (1 of 2) |" in text and "| full |" in text
+    assert "- not scored: val_00001 (f2f-gt): no depth in it" in text
+    assert "- f2f-gt: true masks, classes and identities (`composenet." in text
+    assert "### full\n\nNo errors." in text
+    links = re.findall(r"!\[(.*)\]\((.*)\)", text)
+    assert [link for _, link in links] == ["benchmark/f2f-gt-1.jpg"]
+    assert links[0][0].startswith("val_00000, frame 3: ") and "false" in links[0][0]
+    assert [p.name for p in (tmp_path / "docs" / "benchmark").iterdir()] == ["f2f-gt-1.jpg"]
+
+
+def test_who_leads_over_the_sequences_of_both(outcomes: dict[Job, Outcome]) -> None:
+    text = markdown(INFO, outcomes, Cameras.GIVEN)
+    worse = next(iter(outcomes.values()))
+    assert isinstance(worse, ScoredSequence)
+    points = 100 * (1 - worse.scores.clear.mota)
+    assert f"full is {points:.1f} points of MOTA ahead of f2f-gt" in text and points > 6.5
+    assert "falls short" not in text
+    (_, first), (_, second) = list(outcomes)[:2]
+    swapped = {("full", first): worse, ("f2f-gt", first): outcomes["full", first]}
+    text = markdown(INFO, swapped, Cameras.ESTIMATED)
+    assert f"full is {points:.1f} points of MOTA behind f2f-gt" in text and "falls short" in text
+    assert "points of MOTA" not in markdown(INFO, {("full", second): worse}, Cameras.GIVEN)
+
+
+def test_worst_frames_of_each_sequence_come_first(outcomes: dict[Job, Outcome]) -> None:
+    any_scores = next(o for o in outcomes.values() if isinstance(o, ScoredSequence))
+
+    def with_errors(*counts: int) -> ScoredSequence:
+        errors = tuple(FrameErrors(tuple(range(n)), (), ()) for n in counts)
+        return replace(any_scores, errors=errors)
+
+    a, b, c = Path("a"), Path("b"), Path("c")
+    failures = worst_frames({a: with_errors(0, 5, 9), b: with_errors(1, 0), c: with_errors(3)})
+    assert [(f.folder, f.frame) for f in failures] == [(a, 2), (c, 0), (b, 0)]
+    failures = worst_frames({a: with_errors(4, 5, 9, 2), b: with_errors(0)})
+    assert [f.frame for f in failures] == [2, 1, 0] and len(failures) == PICTURES
+    assert failures[0].caption == "a, frame 2: 9 missed"
+    assert worst_frames({b: with_errors(0, 0)}) == ()
+
+
+def near(image: Image.Image, color: tuple[int, ...]) -> np.ndarray:
+    """(K, 2) pixels of a colour, column and row."""
+    return np.argwhere((np.asarray(image) == color).all(axis=-1))[:, ::-1]
+
+
+def test_a_picture_shows_what_is_missed_and_what_is_false(outcomes: dict[Job, Outcome]) -> None:
+    (_, folder), wrong = next(iter(outcomes.items()))
+    assert isinstance(wrong, ScoredSequence)
+    shown = picture(Failure(folder, 3, wrong.errors[3]), wrong)
+    right = picture(Failure(folder, 2, wrong.errors[2]), wrong)
+    assert shown is not None and right is not None and shown.size == (480, 360)
+    assert len(near(shown, MISSED)) > 50 and len(near(shown, FALSE)) > 50
+    assert not len(near(right, MISSED)) and not len(near(right, FALSE))
+    assert picture(Failure(folder, 99, wrong.errors[3]), wrong) is None
