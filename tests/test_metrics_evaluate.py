@@ -300,9 +300,13 @@ def test_results_file(tmp_path):
 
 
 def test_tables():
-    scores = aggregate([evaluate_sequence(world(), answer_tracks())])
+    tracks = answer_tracks()
+    scores = aggregate([evaluate_sequence(world(), tracks, answer_estimates(tracks))])
     text = to_markdown(RunInfo("tiny", 0, commit="abc", hardware="two cores"), {"full": scores})
     assert "Data tiny, commit abc, seed 0, two cores." in text
+    only_tracks = aggregate([evaluate_sequence(world(), tracks)])
+    rows = [len(table.rows) for table in sections({"f2f": only_tracks, "full": scores})]
+    assert rows == [2, 2, 1, 1, 1] and len(sections({"f2f": only_tracks})) == 2
     tables = sections({"full": scores, "no-compl": scores})
     for section in tables:
         assert all(len(row) == len(section.columns) for row in section.rows)

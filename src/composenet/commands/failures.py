@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +13,11 @@ from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import resize_camera
 from composenet.metrics.clear import FrameErrors
 from composenet.metrics.evaluate import SEEN_STATES, posed_truths
-from composenet.records import CLASS_NAMES, Frame, TrackedObject
+from composenet.metrics.objects import PosedTruth
+from composenet.records import CLASS_NAMES, TrackedObject
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
+from composenet.view.figures import ColoredBox, base_image, draw_boxes
 
 PICTURES = 3
 WIDTH = 480
@@ -26,7 +28,6 @@ LEGEND = (
 )
 _FOUND, _MISSED, _SWITCHED, _IGNORED = (40, 160, 70), (214, 150, 0), (160, 60, 200), (150, 150, 150)
 _FALSE, _RIGHT = (214, 40, 50), (60, 110, 240)
-_ColoredBox = tuple[OrientedBox, tuple[int, int, int], str]
 
 
 @dataclass(frozen=True)
@@ -71,38 +72,35 @@ def picture(failure: Failure, scored: ScoredSequence) -> Image.Image | None:
     if frame is None:
         return None
     truth = moved_truth(read_truth(failure.folder), sequence.T_level_source)
-    errors = failure.errors
-    boxes: list[_ColoredBox] = []
-    for item in posed_truths(truth)[failure.frame]:
-        T, gt_id = item.placed.T_world_object, item.truth.gt_id
-        color = _MISSED if gt_id in errors.missed else _FOUND
-        color = _SWITCHED if gt_id in errors.switched else color
-        if item.placed.visible_pixels == 0:
-            continue
-        label = "" if color is _FOUND else f"true {CLASS_NAMES[item.truth.class_id]}"
-        if item.ignored:
-            color, label = _IGNORED, ""
-        boxes.append((OrientedBox(T[:3, 3], T[:3, :3], item.truth.extents_m), color, label))
-    for entry in scored.tracked[failure.frame]:
-        if entry.state in SEEN_STATES:
-            wrong = entry.track_id in errors.false
-            label = f"{CLASS_NAMES[entry.class_id]} {entry.track_id}" if wrong else ""
-            boxes.append((_tracked_box(entry), _FALSE if wrong else _RIGHT, label))
-    return _drawn(frame, boxes)
-
-
-def _tracked_box(entry: TrackedObject) -> OrientedBox:
-    S = entry.S_world_canonical
-    return OrientedBox(S.t, S.R, entry.extents_m)
-
-
-def _drawn(frame: Frame, boxes: list[_ColoredBox]) -> Image.Image:
-    from composenet.view.figures import base_image, draw_box
-
+    boxes = [
+        *_true_boxes(posed_truths(truth)[failure.frame], failure.errors),
+        *_tracked_boxes(scored.tracked[failure.frame], failure.errors),
+    ]
     height = round(WIDTH * frame.camera.height / frame.camera.width)
     camera = resize_camera(frame.camera, WIDTH, height)
-    size = (WIDTH, height)
-    image = Image.fromarray(base_image(frame)).resize(size, Image.Resampling.BICUBIC)
-    for box, color, label in sorted(boxes, key=lambda item: bool(item[2])):
-        draw_box(image, camera, frame.T_world_camera, box, color, label, 2 if label else 1)
+    image = Image.fromarray(base_image(frame)).resize((WIDTH, height), Image.Resampling.BICUBIC)
+    draw_boxes(image, camera, frame.T_world_camera, boxes)
     return image
+
+
+def _true_boxes(present: Sequence[PosedTruth], errors: FrameErrors) -> Iterator[ColoredBox]:
+    for item in present:
+        T, gt_id = item.placed.T_world_object, item.truth.gt_id
+        box = OrientedBox(T[:3, 3], T[:3, :3], item.truth.extents_m)
+        label = f"true {CLASS_NAMES[item.truth.class_id]}"
+        if gt_id in errors.missed:
+            yield ColoredBox(box, _MISSED, label)
+        elif gt_id in errors.switched:
+            yield ColoredBox(box, _SWITCHED, label)
+        elif item.placed.visible_pixels > 0:
+            yield ColoredBox(box, _IGNORED if item.ignored else _FOUND)
+
+
+def _tracked_boxes(tracked: Sequence[TrackedObject], errors: FrameErrors) -> Iterator[ColoredBox]:
+    for entry in tracked:
+        S = entry.S_world_canonical
+        box = OrientedBox(S.t, S.R, entry.extents_m)
+        if entry.track_id in errors.false and entry.state in SEEN_STATES:
+            yield ColoredBox(box, _FALSE, f"{CLASS_NAMES[entry.class_id]} {entry.track_id}")
+        elif entry.state in SEEN_STATES:
+            yield ColoredBox(box, _RIGHT)

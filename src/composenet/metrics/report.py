@@ -106,29 +106,35 @@ def write_results(
 
 
 def sections(variants: Mapping[str, DatasetScores]) -> list[Section]:
-    """The benchmark's tables: one row a variant."""
+    """The benchmark's tables: one row a variant, for those of single frames only the variants
+    that were scored on them."""
     items = list(variants.items())
+    single = [(name, scores) for name, scores in items if scores.precisions is not None]
     tables = (
         (
             "tracking, %: MOTA by class, mean over sequences with its 95 % interval, pooled",
             _tracking,
+            items,
         ),
-        ("tracking events, pooled", _events),
-        ("detection, completion and pose of single frames", _objects),
+        ("tracking events, pooled", _events, items),
+        ("detection, completion and pose of single frames", _objects, single),
     )
     result = []
-    for title, cells in tables:
-        rows = [cells(scores) for _, scores in items]
+    for title, cells, shown in tables:
+        rows = [cells(scores) for _, scores in shown]
+        if not rows:
+            continue
         result.append(
             Section(
                 title,
                 ("variant", *rows[0]),
-                tuple((name, *row.values()) for (name, _), row in zip(items, rows, strict=True)),
+                tuple((name, *row.values()) for (name, _), row in zip(shown, rows, strict=True)),
             )
         )
     for title, name in (("detection AP@0.5", "box50"), ("completion AP@0.25", "completion25")):
         columns = ("variant", *CLASS_NAMES, "mean")
-        result.append(Section(f"{title} by class, %", columns, _class_rows(items, name)))
+        if single:
+            result.append(Section(f"{title} by class, %", columns, _class_rows(single, name)))
     return result
 
 

@@ -51,6 +51,15 @@ class ColoredMesh:
     color: NDArray[np.uint8]
 
 
+@dataclass(frozen=True)
+class ColoredBox:
+    """A box in the world, its colour (0..255) and a text over it, if any."""
+
+    box: OrientedBox
+    color: tuple[int, int, int]
+    label: str = ""
+
+
 def track_color(track_id: int) -> NDArray[np.uint8]:
     """(3,) uint8 colour of a track: the same in every picture, far from its neighbours' hues."""
     hue = (0.58 + 0.618033988749895 * (track_id - 1)) % 1.0
@@ -127,25 +136,23 @@ def draw_objects(
         taken.append(_draw_label(draw, anchor, text, color, font, taken))
 
 
-def draw_box(
-    image: Image.Image,
-    camera: Camera,
-    T_world_camera: FloatArray,
-    box: OrientedBox,
-    color: tuple[int, ...],
-    label: str = "",
-    width: int = 2,
+def draw_boxes(
+    image: Image.Image, camera: Camera, T_world_camera: FloatArray, boxes: Sequence[ColoredBox]
 ) -> None:
-    """Draw one oriented box of the world, with a label over it. camera: of an image of this
+    """Draw oriented boxes; those with a label thicker and last. camera: of an image of this
     size."""
     draw = ImageDraw.Draw(image)
-    in_world = (_BOX_CORNERS * box.extents) @ np.asarray(box.R).T + box.center
-    corners = apply_T(inverse_T(T_world_camera), in_world)
-    _draw_edges(draw, camera, corners, color, width)
-    anchor = _label_anchor(corners, camera) if label else None
-    if anchor is not None:
-        font = ImageFont.load_default(max(11, image.height // 38))
-        _draw_label(draw, anchor, label, color, font, ())
+    font = ImageFont.load_default(max(11, image.height // 38))
+    taken: list[tuple[float, float, float, float]] = []
+    anchors = []
+    for item in sorted(boxes, key=lambda item: bool(item.label)):
+        in_world = (_BOX_CORNERS * item.box.extents) @ np.asarray(item.box.R).T + item.box.center
+        corners = apply_T(inverse_T(T_world_camera), in_world)
+        _draw_edges(draw, camera, corners, item.color, 2 if item.label else 1)
+        anchors.append((_label_anchor(corners, camera), item))
+    for anchor, item in anchors:
+        if item.label and anchor is not None:
+            taken.append(_draw_label(draw, anchor, item.label, item.color, font, taken))
 
 
 def _draw_edges(
