@@ -71,10 +71,13 @@ def write_cases(data: Path, results: Path, file: Path) -> int:
     from composenet.metrics.report import RunInfo
 
     cases = [*_real_cases(data, results), *_random_cases(np.random.default_rng(0))]
+    run = json.loads((results / "results.json").read_text())
+    command = "python " + " ".join(sys.argv)
     made = {
-        **asdict(RunInfo(data.resolve().name, 0, "python " + " ".join(sys.argv))),
+        **asdict(RunInfo(data.resolve().name, run["seed"], command, run["weights"])),
         "versions": {"composenet": composenet.__version__, "numpy": version("numpy")},
-        "tracked_by": json.loads((results / "results.json").read_text())["command"],
+        "tracked_by": run["command"],
+        "tracked_at": run["commit"],
     }
     file.write_text(json.dumps({"made": made, "cases": cases}) + "\n")
     print(f"{len(cases)} cases in {file}")
