@@ -1,7 +1,7 @@
 """What one camera sees of a surface, pixel by pixel: measured by a sensor or rendered from a map.
 
 Depth is smoothed by a bilateral filter before normals are taken from it, as ElasticFusion does
-(Whelan et al. 2015), which MaskFusion builds on.
+(Whelan et al. 2015), which MaskFusion builds on; here it reaches farther in depth where noise does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from composenet.records import Camera, FloatArray, Frame
 FAR_M = 6.0
 """depth beyond this is dropped"""
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-_RADIUS_PX, _SIGMA_PX, _SIGMA_M = 3, 2.25, 0.03  # of the filter; ElasticFusion's at 640x480: 6, 4.5
+_RADIUS_PX, _SIGMA_PX = 3, 2.25  # of the filter; ElasticFusion's at 640x480: 6, 4.5
+_SIGMA_M, _SIGMA_PER_M2 = 0.01, 0.003  # the second times depth squared, as noise grows
 _STEP = 0.05  # of the depth: neighbours farther apart are not of one surface
 _BINOMIAL = np.array([1, 2, 1], np.float32) / 4
 
@@ -52,7 +53,7 @@ def intensity_of(frame: Frame) -> NDArray[np.float32]:
     """(H, W) brightness in 0..1; NaN for a frame without colour."""
     if frame.color is None:
         return np.full(frame.depth_m.shape, np.nan, np.float32)
-    return (frame.color.astype(np.float32) / 255) @ LUMA
+    return np.asarray(frame.color @ LUMA / 255, np.float32)
 
 
 def pyramid(maps: Maps, levels: int) -> list[Maps]:
@@ -88,14 +89,15 @@ def smoothed(depth: FloatArray) -> NDArray[np.float32]:
             z = depth[v, u]
             if z <= 0:
                 continue
+            sigma = _SIGMA_M + _SIGMA_PER_M2 * z * z
             total, weights = 0.0, 0.0
             for y in range(max(0, v - _RADIUS_PX), min(height, v + _RADIUS_PX + 1)):
                 for x in range(max(0, u - _RADIUS_PX), min(width, u + _RADIUS_PX + 1)):
                     away = depth[y, x] - z
-                    if depth[y, x] <= 0 or abs(away) > 4 * _SIGMA_M:
+                    if depth[y, x] <= 0 or abs(away) > 3 * sigma:
                         continue
                     weight = near[y - v + _RADIUS_PX, x - u + _RADIUS_PX]
-                    weight *= np.exp(-away * away / (2 * _SIGMA_M**2))
+                    weight *= np.exp(-away * away / (2 * sigma**2))
                     total += weight * depth[y, x]
                     weights += weight
             out[v, u] = total / weights

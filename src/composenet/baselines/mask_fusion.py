@@ -23,7 +23,7 @@ Deviations, all in its favour where they matter to the scores:
   `(A_rgb + w^2 A_icp) x = b_rgb + w b_icp`);
 - thresholds of the segmentation grow with depth, as sensor noise does: its own are for a desk; the
   background becomes stable as fast as objects do, as the sequences are short; depth ends at 6 m;
-- a model that no pixel was given to for 10 frames ends if it is small; a large one waits at rest
+- a model that no mask was given to for 10 frames ends if it is small; a large one waits at rest
   in the world and may be found again (the public code names these numbers but does not use them);
 - no loop closure, no relocalisation (both off in the public code), and no persons to leave out.
 """
@@ -61,7 +61,7 @@ MAX_CONFIDENCE, GROWTH_FRAMES = 4.5, 25
 MAX_STEP_M = 0.3
 """an alignment that moves a model farther in a frame has failed"""
 END_AFTER_FRAMES, KEPT_SURFELS = 10, 1000
-"""a model that no pixel was given to for so long ends, if it has fewer surfels"""
+"""a model that no mask was given to for so long ends, if it has fewer surfels"""
 STENCIL, BACKGROUND_STENCIL = 0.85, 0.21
 """factor on the confidence of surfels that lie in another body's pixels"""
 IGNORED = -1
@@ -80,7 +80,7 @@ class MaskFusion:
         self._before: Maps | None = None
 
     def __call__(self, frame: Frame, masks: InstanceMasks) -> tuple[TrackedObject, ...]:
-        """Every living track; those that no pixel was given to are called occluded."""
+        """Every living track; those that no mask was given to are called occluded."""
         maps = measured_maps(frame)
         levels = pyramid(maps, LEVELS)
         T_world_camera = self._camera_pose(frame, levels)
@@ -145,11 +145,11 @@ class MaskFusion:
                 body = self._objects[best]
                 if body.class_id == class_id:
                     owner[number] = best + 1
-                    body.score = score
+                    body.see(frame.index, score)
             elif size >= MIN_NEW_PIXELS and score >= MIN_BIRTH_SCORE:
                 points_world = apply_T(T_world_camera, maps.points[pixels])
                 self._objects.append(Body(frame.index, class_id, self._born, points_world))
-                self._objects[-1].score = score
+                self._objects[-1].see(frame.index, score)
                 self._born += 1
                 owner[number] = len(self._objects)
         return owner[refined]
@@ -186,7 +186,7 @@ def _add_pieces(
 def _colors(frame: Frame) -> NDArray[np.float32]:
     if frame.color is None:
         return np.full((*frame.depth_m.shape, 3), np.nan, np.float32)
-    return frame.color.astype(np.float32) / 255
+    return np.asarray(frame.color / 255, np.float32)
 
 
 class Body:
@@ -199,14 +199,14 @@ class Body:
         track_id: int = -1,
         points_world: FloatArray | None = None,
     ) -> None:
-        self.class_id, self.track_id, self.score = class_id, track_id, 0.0
+        self.class_id, self.track_id = class_id, track_id
         self.surfels = SurfelMap()
         middle = np.zeros(3) if points_world is None else np.median(points_world, axis=0)
         self._T_world_body: FloatArray = make_T(np.eye(3), middle)
         self._T_camera_body: FloatArray | None = None  # in the frame that was fused last
         self._born_at = self._age_at = frame_index
         self._seen_at = frame_index
-        self._state = TrackState.TRACKED
+        self._state, self._score = TrackState.TRACKED, 0.0
         self._extents_m: FloatArray = np.zeros(3)
 
     @property
@@ -220,10 +220,21 @@ class Body:
 
     def track(self, T_world_camera: FloatArray, levels: list[Maps]) -> None:
         """Follow it into the next frame, where enough of it is in view; else it rests."""
-        T, pairs = align(self.view(T_world_camera, levels[0].camera), levels)
-        if pairs >= MIN_PAIRS and np.linalg.norm(T[:3, 3]) <= MAX_STEP_M:
+        view = self.view(T_world_camera, levels[0].camera)
+        T, pairs = align(view, levels)
+        if pairs < MIN_PAIRS:
+            return
+        middle = view.points[view.valid].mean(axis=0)
+        if np.linalg.norm(apply_T(T, middle) - middle) <= MAX_STEP_M:
             T_camera_body = T @ inverse_T(T_world_camera) @ self._T_world_body
             self._T_world_body = T_world_camera @ T_camera_body
+
+    def see(self, frame_index: int, score: float) -> None:
+        """A mask of this frame is its own."""
+        absent = frame_index - self._seen_at > 1
+        if frame_index != self._seen_at:
+            self._state = TrackState.RE_FOUND if absent else TrackState.TRACKED
+        self._seen_at, self._score = frame_index, score
 
     def fuse(
         self,
@@ -237,9 +248,6 @@ class Body:
         """Take the pixels of the mask (H, W). others: see `SurfelMap.clean`."""
         T_camera_body = inverse_T(T_world_camera) @ self._T_world_body
         if mask.any():
-            absent = frame.index - self._seen_at > 1
-            self._state = TrackState.RE_FOUND if absent else TrackState.TRACKED
-            self._seen_at = frame.index
             weight = self._weight(T_camera_body)
             self.surfels.fuse(maps, colors, mask, T_camera_body, frame.index, weight)
         self._age_at, self._T_camera_body = frame.index, T_camera_body
@@ -262,7 +270,7 @@ class Body:
             frame_index=frame_index,
             class_id=self.class_id,
             state=self._state if seen else TrackState.OCCLUDED,
-            confidence=self.score,
+            confidence=self._score,
             box=aabb_of_oriented(OrientedBox(t, R, self._extents_m)),
             S_world_canonical=Similarity(float(np.linalg.norm(self._extents_m)), R, t),
             extents_m=self._extents_m,
@@ -281,4 +289,5 @@ class Body:
             return BIRTH_WEIGHT if self.class_id >= 0 else 1.0
         T = T_camera_body @ inverse_T(self._T_camera_body)
         turn = np.linalg.norm(Rotation.from_matrix(T[:3, :3]).as_rotvec())
-        return max(1 - max(np.linalg.norm(T[:3, 3]), float(turn)) / FULL_MOTION, MIN_WEIGHT)
+        motion = max(float(np.linalg.norm(T[:3, 3])), float(turn))
+        return max(1 - motion / FULL_MOTION, MIN_WEIGHT)

@@ -28,7 +28,7 @@ MAX_DEPTH_STEP_M = 0.07
 PHOTOMETRIC_WEIGHT = 0.1
 """of a squared difference of brightness (0..1) against a squared metre: 3 % weigh like 1 cm"""
 MIN_PAIRS = 60
-"""with fewer pairs at a level nothing is estimated there"""
+"""with fewer pairs at the finest level nothing is estimated; coarser ones need as much surface"""
 _HUBER_M, _HUBER_LIGHT = 0.02, 0.1
 _MIN_GRADIENT = 0.01  # brightness a pixel
 _CONVERGED = 1e-6
@@ -40,16 +40,17 @@ def align(model: Maps, frame: list[Maps]) -> tuple[NDArray[np.float64], int]:
     T = np.eye(4)
     count = 0
     views = pyramid(model, LEVELS)
-    for view, level, iterations in list(zip(views, frame, ITERATIONS, strict=True))[::-1]:
+    for halved in reversed(range(LEVELS)):
+        view, level = views[halved], frame[halved]
         kept = view.valid
         points, normals, light = view.points[kept], view.normals[kept], view.intensity[kept]
         K = level.camera.K
-        for _ in range(iterations):
+        for _ in range(ITERATIONS[halved]):
             A, b, count = _normal_equations(
                 points, normals, light, level.points, level.normals, level.intensity,
                 T, K[0, 0], K[1, 1], K[0, 2], K[1, 2],
             )  # fmt: skip
-            if count < MIN_PAIRS:
+            if count < max(10, MIN_PAIRS // 4**halved):
                 break
             step = np.linalg.lstsq(A, -b, rcond=1e-9)[0]
             T = increment(step) @ T
