@@ -1,7 +1,8 @@
 """Our tracking metrics against py-motmetrics and TrackEval, on the same ids and distances.
 
-Their numpy bounds and ours exclude each other, so this runs in two halves, each in an environment
-of its own (commands in benchmarks/README.md):
+Neither library is a dependency of ours, and none of the three shall bend the others' versions of
+numpy, so this runs in two halves, each in an environment of its own (commands in
+benchmarks/README.md):
 
 python benchmarks/parity.py cases --data DIR --results OUT --file cases.json
     in ours: what `composenet bench --data DIR --out OUT` tracked, sequence by sequence and class by
@@ -218,7 +219,7 @@ def compare_cases(file: Path, out: Path | None) -> int:
             "libraries": table,
             "cases_where_the_libraries_differ": split,
         }
-        out.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n")
+        out.write_text(json.dumps(result, indent=2) + "\n")
     return 0 if equal else 1
 
 
