@@ -50,7 +50,7 @@ def scored(folder: Path, tracked: list[list[TrackedObject]]) -> ScoredSequence:
 @pytest.fixture(scope="module")
 def outcomes(recordings: Path) -> dict[Job, Outcome]:
     """full is right; f2f-gt puts all tracks 1 m off in frame 3 of the first sequence, and fails on
-    the second one."""
+    the second one; no-corr fails altogether."""
     first, second = sorted(recordings.glob("val_*"))
     wrong = perfect(first)
     off = np.array([1.0, 0, 0])
@@ -65,6 +65,7 @@ def outcomes(recordings: Path) -> dict[Job, Outcome]:
     return {
         ("f2f-gt", first): scored(first, wrong),
         ("f2f-gt", second): "no depth in it",
+        ("no-corr", first): "no memory",
         ("full", first): scored(first, perfect(first)),
         ("full", second): scored(second, perfect(second)),
     }
@@ -81,6 +82,8 @@ def test_the_page(outcomes: dict[Job, Outcome], tmp_path: Path) -> None:
     assert "- not scored: val_00001 (f2f-gt): no depth in it" in text
     assert "- f2f-gt: true masks, classes and identities (`composenet." in text
     assert "### full\n\nNo errors." in text
+    assert "### no-corr\n\nNo sequence could be scored." in text and "| no-corr" not in text
+    assert "- not scored: val_00000 (no-corr): no memory" in text
     links = re.findall(r"!\[(.*)\]\((.*)\)", text)
     assert [link for _, link in links] == ["benchmark/f2f-gt-1.jpg"]
     assert links[0][0].startswith("val_00000, frame 3: ") and "false" in links[0][0]

@@ -126,7 +126,8 @@ def _failures(page: Path, outcomes: Mapping[Job, Outcome]) -> str:
                 shown.save(file, quality=85)
                 lines.append(f"![{failure.caption}]({file.relative_to(page.parent)})")
             lines.append(f"{failure.caption}\n")
-        parts.append("\n".join([f"### {name}", "", *(lines or ["No errors."])]).rstrip())
+        nothing = "No errors." if scored else "No sequence could be scored."
+        parts.append("\n".join([f"### {name}", "", *(lines or [nothing])]).rstrip())
     if not os.listdir(folder):
         folder.rmdir()
     return "\n\n".join(parts)
