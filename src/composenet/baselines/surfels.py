@@ -157,9 +157,11 @@ def _disc_radii(points: FloatArray, normals: FloatArray, camera: Camera) -> NDAr
 
 @numba.njit(cache=True, nogil=True)
 def _splatted(positions, normals, radii, usable, T, height, width, fx, fy, cx, cy):
-    """(H, W) the nearest disc at every pixel, -1 for none, and its z-depth there."""
+    """(H, W) the nearest disc at every pixel, -1 for none, and its z-depth there. Of discs in one
+    plane the one counts as nearest whose centre is."""
     index = np.full((height, width), -1, np.int32)
     depth = np.zeros((height, width), np.float32)
+    nearest = np.full((height, width), np.inf)
     p, n = np.empty(3), np.empty(3)
     for i in range(len(positions)):
         if not usable[i]:
@@ -184,7 +186,8 @@ def _splatted(positions, normals, radii, usable, T, height, width, fx, fy, cx, c
                     continue
                 z = plane / slope
                 away = (a * z - p[0]) ** 2 + (b * z - p[1]) ** 2 + (z - p[2]) ** 2
-                if away <= radii[i] ** 2 and (index[y, x] < 0 or z < depth[y, x]):
+                if away <= radii[i] ** 2 and z + np.sqrt(away) < nearest[y, x]:
+                    nearest[y, x] = z + np.sqrt(away)
                     index[y, x] = i
                     depth[y, x] = z
     return index, depth
