@@ -25,6 +25,12 @@ Deviations, all in its favour where they matter to the scores:
   background becomes stable as fast as objects do, as the sequences are short; depth ends at 6 m;
 - a model that no mask was given to for 10 frames ends if it is small; a large one waits at rest
   in the world and may be found again (the public code names these numbers but does not use them);
+- a mask of 500 pixels starts a model (2,000 at 640x480; 7,000 in the last public version);
+- a track is claimed only in frames in which a mask is its own (the original draws every model);
+- a motion is too large by where it takes the middle of the model, not the camera seen from it;
+- every pixel of the smoothed depth is fused (a quarter of the raw ones, in turn); surfels are
+  sought in 3x3 pixels of an index map of the image's size (of one four times as wide);
+- only the camera's first guess, where it is not given, is turned by brightness alone first;
 - no loop closure, no relocalisation (both off in the public code), and no persons to leave out.
 """
 
