@@ -42,7 +42,9 @@ def scene(seed: int = 0, voxels: int = 400) -> tuple[VoxelFields, VolumeBatch]:
     eye = torch.eye(4).double().expand(2, 4, 4)
     floor_z = torch.tensor([-0.1, 0.2]).double()
     depth = torch.zeros(2, 4, 4).double()
-    return fields, VolumeBatch(coords, fields.features, depth, eye[:, :3, :3], eye, floor_z, SIZE_M)
+    seen = torch.zeros(n, dtype=torch.bool)
+    K = eye[:, :3, :3]
+    return fields, VolumeBatch(coords, fields.features, seen, depth, K, eye, floor_z, SIZE_M)
 
 
 def head(stirred: bool = True, size: float = 0.1) -> BoxHead:

@@ -117,8 +117,9 @@ def field_of(things: Sequence[Thing], frames: int = 1) -> tuple[VoxelFields, Vol
     )
     eye = torch.eye(4).expand(frames, 4, 4)
     depth = torch.zeros(frames, 4, 4)
+    seen = torch.zeros(len(coords), dtype=torch.bool)
     batch = VolumeBatch(
-        coords, fields.features, depth, eye[:, :3, :3], eye, depth[:, 0, 0], VOXEL_M
+        coords, fields.features, seen, depth, eye[:, :3, :3], eye, depth[:, 0, 0], VOXEL_M
     )
     return fields, batch
 

@@ -58,6 +58,7 @@ def volume_of(quarter: int) -> Volume:
         coords=np.ones((1, 3), np.int32),
         features=np.zeros((1, len(FEATURE_NAMES)), np.float32),
         labels=np.zeros(1, np.int32),
+        n_seen=1,
         shape=(96, 96, 48),
         voxel_size_m=0.05,
         T_world_grid=make_T(R, np.array([1.0, -3.0, -0.1])),

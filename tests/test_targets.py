@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -244,6 +245,8 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
     """A turn of the scene about the crop's centre by whole bins shifts the scores by as many."""
     torch.manual_seed(0)
     net = HeadingNet(10).eval()
+    with torch.no_grad():
+        cast(torch.nn.Linear, net.score[-1]).weight *= 100
     depth = torch.zeros(1, 240, 320)
     depth[0, 60:180, 80:240] = 2.0 + 0.3 * torch.rand(120, 160)
     K = torch.tensor([[[280.0, 0, 160], [0, 280, 120], [0, 0, 1]]])
@@ -258,6 +261,7 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
         batch = VolumeBatch(
             torch.zeros(1, 4).long(),
             torch.zeros(1, 1),
+            torch.zeros(1, dtype=torch.bool),
             depth,
             K,
             (look @ torch.linalg.inv(turn))[None],
@@ -267,5 +271,5 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
         return net(batch, crops, torch.full((1, 10), 0.1), 0.15)[0]
 
     still, turned = scores(0.0), scores(2 * np.pi * bins / HEADING_BINS)
-    torch.testing.assert_close(turned, still.roll(bins), atol=2e-3, rtol=0)
-    assert still.std() > 1e-3
+    torch.testing.assert_close(turned, still.roll(bins), atol=1e-4, rtol=0)
+    assert still.std() > 1e-2

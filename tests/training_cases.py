@@ -44,6 +44,7 @@ def volume_of(label: int = 3, quarter: float = 1.0) -> Volume:
         coords=rng.permutation(np.indices((16, 16, 16)).reshape(3, -1).T)[:40].astype(np.int32),
         features=np.zeros((40, len(FEATURE_NAMES)), np.float32),
         labels=np.where(np.arange(40) < 30, label, 0).astype(np.int32),
+        n_seen=40,
         shape=(32, 32, 32),
         voxel_size_m=SIZE_M,
         T_world_grid=make_T(np.round(rotation_z(quarter * np.pi / 2)), np.array([2.0, 1.0, -0.2])),

@@ -33,6 +33,11 @@ class VolumeConfig:
     """a voxel hit by fewer depth pixels is noise"""
     truncation_m: Positive = 0.15
     """truncation of the signed distance field"""
+    memory_frames: Annotated[int, Field(ge=0)] = 30
+    """surfaces that none of the last so many frames saw are forgotten; 0: each frame alone
+    [paper]"""
+    memory_reach_m: Positive = 0.8
+    """how far beyond the bounds of what is seen the remembered surface is looked at"""
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -57,6 +62,8 @@ class NetworkConfig:
 class DetectionConfig:
     """Proposals from voxel predictions."""
 
+    use_mirror: bool = True
+    """look at the mirror image of the volume too and average; a second pass of the backbone"""
     objectness_threshold: Share = 0.5
     mean_shift_steps: Count = 20
     """[paper]"""
@@ -85,22 +92,24 @@ class TrackingConfig:
     """[paper]"""
     running_mean_weight: Positive = 4.0
     """old : new = 4 : 1 [paper]"""
-    min_score: Share = 0.5
+    min_score: Share = 0.3
     """a weaker proposal is left out of tracking"""
-    min_birth_score: Share = 0.8
+    min_birth_score: Share = 0.5
     """a weaker proposal may continue a track but starts none"""
-    duplicate_iou: Share = 0.5
+    min_confidence: Share = 0.6
+    """a track is told of from the frame on in which its confidence reaches this"""
+    duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""
     max_speed_m_per_frame: Positive = 0.35
     """the canonical pass matches nothing that would have moved faster than this"""
     reach_slack_m: Positive = 0.3
     """added to that way: noise of the centres"""
-    max_reach_m: Positive = 2.0
+    max_reach_m: Positive = 1.2
     """no canonical match is farther from the last place, however long ago it was"""
-    still_share: Share = 0.12
+    still_share: Share = 0.15
     """a centre that moves by less than this share of its box's horizontal diagonal stands still,
     and its boxes are averaged"""
-    steady_weight: Positive = 2.0
+    steady_weight: Positive = 3.0
     """the boxes before weigh together at most as much as this many certain ones"""
     expected_visible_share: Share = 0.5
     """an unseen track with less of its surface in open view is occluded, else lost"""
@@ -113,7 +122,8 @@ class TrackingConfig:
     end_after_visible_misses: Count = 30
     """a track unseen for this many frames in which it should have been visible has ended"""
     offline: bool = False
-    """run the paper's second pass over the whole sequence, which looks into the future"""
+    """look back from the end of the recording: the paper's second pass, and what the whole of a
+    track says of each of its frames"""
 
 
 @dataclass(frozen=True, config=_STRICT)

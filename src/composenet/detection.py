@@ -11,6 +11,7 @@ from composenet.config import DetectionConfig
 from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
+from composenet.network.mirror import Mirror, mean_boxes
 from composenet.network.model import ComposeNet
 
 BOX_LIMITS_M = (0.15, 5.0)
@@ -137,18 +138,21 @@ def second_look(
     batch: VolumeBatch,
     proposals: tuple[Proposals, ...],
     config: DetectionConfig,
+    mirror: Mirror | None = None,
 ) -> tuple[Proposals, ...]:
     """Proposals with corrected boxes and classes, strongest first.
 
-    score becomes the quality; of two boxes that overlap by more than
-    config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture cannot
-    share that much space.
+    mirror: the mirror image of the batch, to be looked at too. score becomes the quality; of two
+    boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
+    classes: solid furniture cannot share that much space.
     """
     out = []
     for index, p in enumerate(proposals):
         frame = torch.full((len(p.center),), index, device=p.center.device)
         extents = p.extents.clamp(*BOX_LIMITS_M)
         boxes = network.box_fields(fields, batch, p.center, extents, frame)
+        if mirror is not None:
+            boxes = mean_boxes(boxes, mirror.box_fields(network, p.center, extents, frame))
         score = boxes.quality.sigmoid()
         order = torch.argsort(score, descending=True, stable=True)
         order = order[score[order] >= config.min_score]

@@ -16,12 +16,13 @@ from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, 
 from composenet.detection import propose, second_look
 from composenet.errors import ConfigError
 from composenet.network.batch import collate
+from composenet.network.mirror import Mirror
 from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
 from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
-from composenet.tracking.offline import link_offline
 from composenet.tracking.tracker import Tracker
+from composenet.volume.memory import SurfaceMemory
 from composenet.volume.voxels import voxelize
 
 
@@ -40,24 +41,28 @@ class ObjectTracker:
 
     def __init__(self, network: ComposeNet, config: Config, device: torch.device) -> None:
         self.network, self.config, self.device = network, config, device
+        self._memory = SurfaceMemory(config.volume.memory_frames)
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame."""
         clock = _Clock(self.device)
         with clock("volume"):
-            volume = voxelize(frame, self.config.volume)
+            volume = voxelize(frame, self.config.volume, memory=self._memory)
         estimates: tuple[ObjectEstimate, ...] = ()
         if volume is not None:
             with torch.inference_mode():
                 batch = collate([volume]).to(self.device)
+                mirror = None
                 with clock("backbone"):
                     fields = self.network.voxel_fields(batch)
+                    if self.config.detection.use_mirror:
+                        fields, mirror = Mirror.of(self.network, batch).agreed(fields)
                 with clock("proposals"):
                     voted = propose(fields, batch, self.config.detection)
                 with clock("boxes"):
                     (proposals,) = second_look(
-                        self.network, fields, batch, voted, self.config.detection
+                        self.network, fields, batch, voted, self.config.detection, mirror
                     )
                 with clock("objects"):
                     estimates = estimate_objects(
@@ -68,12 +73,10 @@ class ObjectTracker:
         return FrameResult(objects, estimates, clock.milliseconds)
 
     def tracks(self) -> tuple[Track, ...]:
-        """All identities so far. With tracking.offline the paper's second pass links them, which
-        looks at the whole recording."""
-        tracks = self._tracker.tracks()
-        return (
-            link_offline(tracks, self.config.tracking) if self.config.tracking.offline else tracks
-        )
+        """All identities so far: as they were told of, or with tracking.offline as the whole
+        recording shows them."""
+        tracker = self._tracker
+        return tracker.hindsight() if self.config.tracking.offline else tracker.tracks()
 
     def restart(self) -> ObjectTracker:
         """A tracker for another recording with the same network."""

@@ -66,7 +66,8 @@ class Frame:
 
     depth_m: (H, W) float32, z-depth, 0 = invalid. color: (H, W, 3) uint8 or None
     (resized to the depth image where the source's differs). T_world_camera: (4, 4) float64,
-    world levelled (z up).
+    world levelled (z up). pose_known: False where that world is the camera's own levelled frame,
+    so that places in different frames cannot be compared.
     """
 
     index: int
@@ -76,6 +77,7 @@ class Frame:
     color: NDArray[np.uint8] | None = None
     timestamp_s: float | None = None
     name: str = ""
+    pose_known: bool = True
 
 
 @dataclass(frozen=True)

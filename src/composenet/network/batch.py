@@ -17,13 +17,14 @@ from composenet.volume.voxels import Volume
 class VolumeBatch:
     """B frames. Grid frame of each, metres.
 
-    coords: (N, 4) int64 rows of (frame, x, y, z). features: (N, C). depth_m: (B, H, W).
-    K: (B, 3, 3). T_camera_grid: (B, 4, 4). floor_z: (B,) z of the world's floor plane (z = 0)
-    in the grid frame.
+    coords: (N, 4) int64 rows of (frame, x, y, z). features: (N, C). remembered: (N,) bool, voxels
+    that only earlier frames saw. depth_m: (B, H, W). K: (B, 3, 3). T_camera_grid: (B, 4, 4).
+    floor_z: (B,) z of the world's floor plane (z = 0) in the grid frame.
     """
 
     coords: Tensor
     features: Tensor
+    remembered: Tensor
     depth_m: Tensor
     K: Tensor
     T_camera_grid: Tensor
@@ -100,6 +101,9 @@ def collate(volumes: Sequence[Volume]) -> VolumeBatch:
     return VolumeBatch(
         coords=torch.from_numpy(np.concatenate(rows).astype(np.int64)),
         features=torch.from_numpy(np.concatenate([v.features for v in volumes])),
+        remembered=torch.from_numpy(
+            np.concatenate([np.arange(len(v.coords)) >= v.n_seen for v in volumes])
+        ),
         depth_m=torch.from_numpy(np.stack([v.depth_m for v in volumes])),
         K=torch.from_numpy(np.stack([v.K for v in volumes]).astype(np.float32)),
         T_camera_grid=torch.from_numpy(

@@ -62,7 +62,8 @@ def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: 
 def crop_inputs(
     batch: VolumeBatch, crops: CropBatch, cells: int, truncation_m: float
 ) -> tuple[Tensor, Tensor]:
-    """Field samples (M, 2, cells^3 as a cube): tsdf and observed; and the surface mask."""
+    """Field samples (M, 3, cells^3 as a cube): tsdf, observed, and surface that earlier frames
+    saw; and the mask of all surface, seen or remembered."""
     points = crops.points(cells)
     tsdf, observed = projective_tsdf(
         points,
@@ -72,10 +73,27 @@ def crop_inputs(
         truncation_m,
     )
     reach = crops.size.amax(dim=1, keepdim=True) / cells / truncation_m
-    surface = observed & (tsdf.abs() < reach.clamp(max=0.99))
+    remembered = _remembered_at(batch, crops.frame, points)
+    surface = (observed & (tsdf.abs() < reach.clamp(max=0.99))) | remembered
     cube = (-1, 1, cells, cells, cells)
-    samples = torch.cat([tsdf.view(cube), observed.to(tsdf.dtype).view(cube)], dim=1)
-    return samples, surface.view(-1, cells, cells, cells)
+    channels = [channel.to(tsdf.dtype).view(cube) for channel in (tsdf, observed, remembered)]
+    return torch.cat(channels, dim=1), surface.view(-1, cells, cells, cells)
+
+
+def _remembered_at(batch: VolumeBatch, frame: Tensor, points: Tensor) -> Tensor:
+    """(M, P) bool: the point lies in a remembered voxel. points: (M, P, 3), grid frame."""
+    rows = batch.coords[batch.remembered]
+    if not len(rows):
+        return torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
+    sides = rows[:, 1:].amax(dim=0) + 1
+    x, y, z = sides.tolist()
+    filled = torch.zeros(batch.size * x * y * z, dtype=torch.bool, device=points.device)
+    filled[((rows[:, 0] * x + rows[:, 1]) * y + rows[:, 2]) * z + rows[:, 3]] = True
+    cell = (points / batch.voxel_size_m).round().long()
+    inside = ((cell >= 0) & (cell < sides)).all(dim=-1)
+    cell = torch.where(inside[..., None], cell, torch.zeros_like(cell))
+    slot = ((frame[:, None] * x + cell[..., 0]) * y + cell[..., 1]) * z + cell[..., 2]
+    return filled[slot] & inside
 
 
 def _position_channels(batch: VolumeBatch, crops: CropBatch, cells: int) -> Tensor:
@@ -120,7 +138,7 @@ class HeadingNet(nn.Module):
     def __init__(self, n_classes: int) -> None:
         super().__init__()
         self.encode = nn.Sequential(
-            nn.Conv3d(2, 16, 3, stride=2, padding=1, bias=False),
+            nn.Conv3d(3, 16, 3, stride=2, padding=1, bias=False),
             nn.BatchNorm3d(16),
             nn.ReLU(),
             nn.Conv3d(16, 32, 3, stride=2, padding=1, bias=False),
@@ -155,7 +173,7 @@ class ObjectNet(nn.Module):
         super().__init__()
         c1, c2, c3 = channels
         self.embed_features = nn.Linear(c_features, c1)
-        self.embed_tsdf = nn.Conv3d(2, c1, 2, stride=2)
+        self.embed_tsdf = nn.Conv3d(3, c1, 2, stride=2)
         self.embed_position = nn.Conv3d(4, c1, 1)
         self.encode1 = _conv(c1, c1)
         self.encode2 = nn.Sequential(_down(c1, c2), _conv(c2, c2), _conv(c2, c2))

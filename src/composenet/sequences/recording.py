@@ -90,6 +90,7 @@ class RecordedSequence:
                 color=self._read_color(entry),
                 timestamp_s=entry.timestamp_s,
                 name=entry.name,
+                pose_known=self.has_poses,
             )
         if not found:
             raise self._nothing_left()

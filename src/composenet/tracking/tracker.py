@@ -9,6 +9,7 @@ from composenet.config import TrackingConfig, VolumeConfig
 from composenet.errors import SequenceError
 from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
+from composenet.tracking.offline import look_back
 from composenet.tracking.tracklet import Tracklet
 from composenet.tracking.visibility import Visibility, surface_in_world, visibility
 
@@ -34,8 +35,8 @@ class Tracker:
     def update(
         self, frame: Frame, estimates: Sequence[ObjectEstimate]
     ) -> tuple[TrackedObject, ...]:
-        """Every track in this frame, by id: seen ones, unseen ones at their last pose, and,
-        once, those that ended in it.
+        """Every confirmed track in this frame, by id: seen ones, unseen ones at their last pose,
+        and, once, those that ended in it. Ids are given at birth, so some are never told of.
 
         The order of the estimates does not matter. Raises SequenceError for a frame whose
         index is not larger than the one before.
@@ -63,11 +64,15 @@ class Tracker:
         for tracklet, view in zip(unseen, views, strict=True):
             tracklet.miss(frame.index, view)
         born = [self._birth(frame.index, p) for p in unclaimed if self._may_start(p)]
-        return tuple(t.latest for t in alive + born)
+        return tuple(t.latest for t in alive + born if t.confirmed)
 
     def tracks(self) -> tuple[Track, ...]:
-        """All tracks so far, ended ones included, by id."""
-        return tuple(t.track() for t in self._tracklets)
+        """All confirmed tracks so far, as they were told of, ended ones included, by id."""
+        return tuple(t.track() for t in self._tracklets if t.confirmed)
+
+    def hindsight(self) -> tuple[Track, ...]:
+        """All tracks from their birth on, told of or not, as the whole recording shows them."""
+        return look_back([t.whole_track() for t in self._tracklets], self._config)
 
     def _advance(self, index: int) -> None:
         if self._last_index is not None and index <= self._last_index:

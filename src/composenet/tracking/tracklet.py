@@ -33,9 +33,25 @@ SMALLEST_DIAGONAL_M = 0.3
 """Noise of the centres does not shrink with objects smaller than this."""
 
 
+def stands_still(old: Box, new: Box, still_share: float) -> bool:
+    """Whether the centre moved by at most still_share of the new box's horizontal diagonal."""
+    step = float(np.linalg.norm((new.center - old.center)[:2]))
+    return step <= still_share * max(float(np.linalg.norm(new.extents[:2])), SMALLEST_DIAGONAL_M)
+
+
+def mean_box(old: Box, new: Box, share: float) -> Box:
+    """The box between two, of which the new one has the given share."""
+    return Box(
+        old.center + share * (new.center - old.center),
+        old.extents + share * (new.extents - old.extents),
+    )
+
+
 class Tracklet:
     """Mutable; owned by one Tracker. Born from a proposal, then told of every frame either
     that it was seen (`observe`) or that it was not (`miss`).
+
+    It is `confirmed` once its confidence has reached config.min_confidence, and stays so.
 
     Confidence: while seen, the running mean of the scores (weighted as the canonical model)
     times (1 - 0.5 ** hits), so that one detection counts half; while unseen, it decays by a
@@ -53,6 +69,7 @@ class Tracklet:
         self._hits = 0
         self._mean_score = estimate.score
         self._confidence = 0.0
+        self._confirmed_at: int | None = None
         self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
         self._history: list[TrackedObject] = []
@@ -65,6 +82,11 @@ class Tracklet:
     def alive(self) -> bool:
         """Whether it may still be matched."""
         return self.state is not TrackState.ENDED
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it has been sure enough, once, to be told of."""
+        return self._confirmed_at is not None
 
     @property
     def class_id(self) -> int:
@@ -101,7 +123,12 @@ class Tracklet:
         self._record(frame_index, observed=False)
 
     def track(self) -> Track:
-        """Everything known so far, as a record."""
+        """Everything since it was confirmed, as a record."""
+        known = [e for e in self._history if e.frame_index >= (self._confirmed_at or 0)]
+        return Track(self.track_id, self.class_id, tuple(known), self.model.mean)
+
+    def whole_track(self) -> Track:
+        """Everything since its birth, confirmed or not."""
         return Track(self.track_id, self.class_id, tuple(self._history), self.model.mean)
 
     def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
@@ -126,23 +153,19 @@ class Tracklet:
         self._hits += 1
         self._visible_misses = 0
         self._confidence = self._mean_score * (1 - 0.5**self._hits)
+        if not self.confirmed and self._confidence >= self._config.min_confidence:
+            self._confirmed_at = frame_index
         self._record(frame_index, observed=True)
 
     def _steadied(self, estimate: ObjectEstimate) -> Box:
-        """Mean of the last boxes, weighted by their scores, while the centre stays within
-        still_share of the box's horizontal diagonal; a longer step is motion, and the mean
-        begins anew."""
-        new, weight = estimate.box, max(estimate.score, 1e-3)
-        step = np.linalg.norm((new.center - self.box.center)[:2])
-        diagonal = max(float(np.linalg.norm(new.extents[:2])), SMALLEST_DIAGONAL_M)
-        if step > self._config.still_share * diagonal:
+        """Mean of the last boxes, weighted by their scores, while the object stands still; with
+        a longer step the mean begins anew."""
+        weight = max(estimate.score, 1e-3)
+        if not stands_still(self.box, estimate.box, self._config.still_share):
             self._steadiness = 0.0
         share = weight / (self._steadiness + weight)
         self._steadiness = min(self._steadiness + weight, self._config.steady_weight)
-        return Box(
-            self.box.center + share * (new.center - self.box.center),
-            self.box.extents + share * (new.extents - self.box.extents),
-        )
+        return mean_box(self.box, estimate.box, share)
 
     def _record(self, frame_index: int, observed: bool) -> None:
         self._history.append(

@@ -7,15 +7,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch.utils.data import IterableDataset, get_worker_info
 
+from composenet.geometry.transform import make_T
 from composenet.records import Camera, Frame
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 from composenet.training.config import TrainingConfig
 from composenet.training.disk import DiskScene, disk_scene
-from composenet.training.targets import Sample, TrainingBatch, collate_samples, make_sample
+from composenet.training.targets import (
+    Sample,
+    TrainingBatch,
+    collate_samples,
+    forget_moved,
+    make_sample,
+)
+from composenet.volume.memory import SurfaceMemory
 from composenet.volume.voxels import voxelize
 
+LONGEST_STEP = 4
+"""Frames between one look and the next, at most."""
+SKIPPED = 2
+"""Frames of a scene that are looked at and remembered, but no sample."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -41,24 +55,39 @@ class SceneSource:
 def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
-    """At most frames_per_scene samples at random times, each with a slightly wrong floor height."""
-    count = min(config.frames_per_scene, scene.n_frames)
-    chosen = rng.choice(scene.n_frames, count, replace=False)
-    for i in map(int, chosen):
+    """At most frames_per_scene samples in order of time, every one with what the frames before it
+    saw, from a random time on and in random steps; each with a slightly wrong floor height."""
+    length = config.frames_per_scene + SKIPPED
+    step = int(rng.integers(1, max(1, min(LONGEST_STEP, scene.n_frames // length)) + 1))
+    start = int(rng.integers(0, max(1, scene.n_frames - step * (length - 1))))
+    times = range(start, scene.n_frames, step)[:length]
+    count = min(config.frames_per_scene, len(times))
+    taken = set(rng.choice(times, count, replace=False).tolist())
+    memory = SurfaceMemory(config.model.volume.memory_frames)
+    for i in times:
         rendered = scene.render(i, color=False)
         truth = scene.frame_truth(i, rendered.ids)
-        frame = rendered.frame
-        if augment and rng.random() < 0.3:
-            frame, ids = crop_view(frame, rendered.ids, rng)
-        else:
-            ids = rendered.ids
-        volume = voxelize(frame, config.model.volume, ids)
-        if volume is None:
+        frame, ids = rendered.frame, rendered.ids
+        if augment:
+            frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
+            if rng.random() < 0.3:
+                frame, ids = crop_view(frame, ids, rng)
+        volume = voxelize(frame, config.model.volume, ids, memory)
+        if volume is None or i not in taken:
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)
         seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
-        yield make_sample(volume, [scene.object_truth(t.gt_id) for t in seen], seen)
+        truths = [scene.object_truth(t.gt_id) for t in seen]
+        pairs = zip(truths, seen, strict=True)
+        forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
+        yield make_sample(volume, truths, seen)
+
+
+def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:
+    """(4, 4): how wrong a camera pose may be, about a centimetre and a quarter of a degree."""
+    turn = Rotation.from_rotvec(np.radians(0.25) * rng.standard_normal(3)).as_matrix()
+    return make_T(turn, 0.008 * rng.standard_normal(3))
 
 
 def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:

@@ -41,9 +41,10 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     """Objectness, centre, extent (both in voxels) and class. Every object weighs by the root of
     its voxel count, so that large ones do not drown small ones."""
     on_object = batch.voxel_object >= 0
+    known = batch.voxel_object > -2
     losses = {
         "objectness": F.binary_cross_entropy_with_logits(
-            fields.objectness, on_object.to(fields.objectness.dtype)
+            fields.objectness[known], on_object[known].to(fields.objectness.dtype)
         )
     }
     zero = fields.objectness.sum() * 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from composenet.geometry.symmetry import ORDER
+from composenet.geometry.transform import apply_T, inverse_T
 from composenet.network.batch import CropBatch, VolumeBatch, collate
 from composenet.records import ObjectFrameTruth, ObjectTruth
 from composenet.volume.voxels import Volume
+
+UNKNOWN = -1
+"""Label of a remembered voxel of an object that is out of view or has moved away unseen."""
 
 SOFT_CELLS = 32
 """Occupancy travels as the filled share of 32^3 cells over the object's own box."""
@@ -47,7 +51,8 @@ class Sample:
 class TrainingBatch:
     """B frames with K objects in all.
 
-    frame: (K,) frame of each object. voxel_object: (N,) row of the voxel's object, -1 for none.
+    frame: (K,) frame of each object. voxel_object: (N,) row of the voxel's object, -1 for none,
+    -2 for what nobody can know.
     The rest as in Sample, as tensors; occupancy: (K, 32, 32, 32) float in 0..1.
     """
 
@@ -73,6 +78,28 @@ class TrainingBatch:
         """The same batch on another device."""
         moved = {name: value.to(device) for name, value in vars(self).items()}
         return TrainingBatch(**moved)
+
+
+def forget_moved(
+    volume: Volume, objects: Mapping[int, tuple[ObjectTruth, ObjectFrameTruth]]
+) -> None:
+    """Relabel, in place, the remembered voxels that are no surface of an object in this frame.
+
+    objects: by id, those that are targets. A voxel of one of them that lies outside its box now
+    becomes background; one of any other becomes UNKNOWN.
+    """
+    rows = np.arange(volume.n_seen, len(volume.labels))
+    world = apply_T(volume.T_world_grid, volume.coords[rows] * volume.voxel_size_m)
+    labels = volume.labels[rows]
+    for gt_id in np.unique(labels[labels > 0]).tolist():
+        mine = labels == gt_id
+        if gt_id not in objects:
+            volume.labels[rows[mine]] = UNKNOWN
+            continue
+        truth, now = objects[gt_id]
+        local = apply_T(inverse_T(now.T_world_object), world[mine])
+        out = (np.abs(local) > truth.extents_m / 2 + volume.voxel_size_m).any(axis=1)
+        volume.labels[rows[mine][out]] = 0
 
 
 def make_sample(
@@ -120,7 +147,8 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
     for sample, offset in zip(samples, offsets, strict=False):
         row = np.full(max(int(sample.volume.labels.max(initial=0)), *sample.gt_id, 0) + 1, -1)
         row[sample.gt_id] = np.arange(len(sample.gt_id)) + offset
-        voxel_object.append(row[sample.volume.labels])
+        labels = sample.volume.labels
+        voxel_object.append(np.where(labels == UNKNOWN, -2, row[labels.clip(min=0)]))
     return TrainingBatch(
         volume=collate([s.volume for s in samples]),
         frame=torch.from_numpy(frame),

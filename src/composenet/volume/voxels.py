@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from composenet.config import VolumeConfig
 from composenet.records import Frame
+from composenet.volume.memory import Surface, SurfaceMemory
 
 FEATURE_NAMES = (
     "offset_x",
@@ -23,18 +24,24 @@ FEATURE_NAMES = (
     "view_x",
     "view_y",
     "count",
+    "age",
 )
 """Channels of a voxel: mean point within the voxel (voxels), mean normal (grid axes, towards
-the camera), height above the floor / 2 m, distance from the camera / 4 m, horizontal viewing
-direction, log of the pixel count / 4."""
+the camera that saw it), height above the floor / 2 m, distance from the camera / 4 m, horizontal
+viewing direction, log of the pixel count / 4, and age: 0 for what this frame sees, 0.5 to 1 for
+what only earlier frames saw (1 from OLD_FRAMES ago on)."""
+
+OLD_FRAMES = 20
 
 
 @dataclass(frozen=True)
 class Volume:
     """One frame as a sparse surface grid, with what the signed distance field needs.
 
-    coords: (N, 3) int32 voxel indices, all >= 0. features: (N, len(FEATURE_NAMES)) float32.
-    labels: (N,) int32, majority instance id of the voxel's pixels (zeros without an id image).
+    coords: (N, 3) int32 voxel indices, all >= 0, no two alike: those of the frame first, then the
+    remembered ones. features: (N, len(FEATURE_NAMES)) float32. labels: (N,) int32, majority
+    instance id of the voxel's pixels (zeros without an id image). n_seen: how many of the N
+    voxels the frame itself sees.
     shape: cells of the grid, multiples of 16. T_world_grid: (4, 4), grid metres to world; voxel
     (i, j, k) is centred at voxel_size_m * (i, j, k). depth_m (H, W), K (3, 3) and T_camera_grid
     (4, 4) are the frame's.
@@ -43,6 +50,7 @@ class Volume:
     coords: NDArray[np.int32]
     features: NDArray[np.float32]
     labels: NDArray[np.int32]
+    n_seen: int
     shape: tuple[int, int, int]
     voxel_size_m: float
     T_world_grid: NDArray[np.float64]
@@ -177,7 +185,7 @@ def _accumulate(points, normals, valid, ids, low, size, shape):
     return coords[:n], sums[:n], labels[:n]
 
 
-def _bounds(points: NDArray[np.float32], size: float) -> tuple[NDArray, tuple[int, int, int]]:
+def _bounds(points: NDArray[np.floating], size: float) -> tuple[NDArray, tuple[int, int, int]]:
     """Lowest corner (a multiple of the voxel size) and shape (multiples of 16), two voxels of
     margin; heights kept between 1 m under the floor and 3.2 m."""
     low = points.min(axis=0) - 2 * size
@@ -190,14 +198,20 @@ def _bounds(points: NDArray[np.float32], size: float) -> tuple[NDArray, tuple[in
 
 
 def voxelize(
-    frame: Frame, config: VolumeConfig, ids: NDArray[np.integer] | None = None
+    frame: Frame,
+    config: VolumeConfig,
+    ids: NDArray[np.integer] | None = None,
+    memory: SurfaceMemory | None = None,
 ) -> Volume | None:
     """Surface voxels of one frame, or None where the frame has no usable depth.
 
-    frame: world levelled, z up. ids: (H, W) instance ids for training labels.
+    frame: world levelled, z up. ids: (H, W) instance ids for training labels. memory: what earlier
+    frames saw, which is added where this one cannot see; it then remembers this frame too. A
+    frame whose pose is unknown adds nothing and is not remembered.
     """
-    R_world_grid = quarter_turn(frame.T_world_camera)
-    T_turned_camera = np.array(frame.T_world_camera, dtype=np.float64)
+    T_world_camera = np.array(frame.T_world_camera, dtype=np.float64)
+    R_world_grid = quarter_turn(T_world_camera)
+    T_turned_camera = T_world_camera.copy()
     T_turned_camera[:3] = R_world_grid.T @ T_turned_camera[:3]
     K = np.asarray(frame.camera.K, dtype=np.float64)
     depth_m = smooth_depth(np.ascontiguousarray(frame.depth_m, dtype=np.float32))
@@ -214,20 +228,74 @@ def voxelize(
     if valid.sum() < 100:
         return None
     size = config.voxel_size_m
-    low, shape = _bounds(points[valid], size)
+    seen = points[valid]
+    old = Surface.nothing()
+    if memory is not None and frame.pose_known:
+        old = memory.recall(frame.index, depth_m, K, T_world_camera)
+    depth_m[depth_m > config.max_depth_m] = 0
+    old_points = old.points @ R_world_grid
+    near = _near(old_points, seen, config.memory_reach_m)
+    low, shape = _bounds(np.concatenate([seen, old_points[near]]), size)
     ids = np.zeros(frame.depth_m.shape, np.int32) if ids is None else ids.astype(np.int32)
     coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
     solid = sums[:, 0] >= config.min_pixels
     coords, sums, labels = coords[solid], sums[solid], labels[solid]
     if len(coords) == 0:
         return None
+    features = _features(coords, sums, low, size, T_turned_camera[:3, 3])
+    n_seen = len(coords)
+    if memory is not None and frame.pose_known:
+        own = Surface(
+            points=((coords + features[:, :3]) * size + low) @ R_world_grid.T,
+            normals=(features[:, 3:6] @ R_world_grid.T).astype(np.float32),
+            counts=sums[:, 0],
+            labels=labels,
+            seen=np.full(n_seen, frame.index, np.int64),
+        )
+        cells = np.floor((old_points - low) / size + 0.5).astype(np.int64)
+        unlike = _unlike(cells, coords, shape)
+        memory.remember(old[unlike], own)
+        added = unlike & near
+        old, cells, old_points = old[added], cells[added], old_points[added]
+        mean = (old_points - low) / size - cells
+        sums = np.concatenate([np.ones((len(old), 1)), mean, old.normals @ R_world_grid], axis=1)
+        sums = (sums * old.counts[:, None]).astype(np.float32)
+        recalled = _features(cells, sums, low, size, T_turned_camera[:3, 3])
+        recalled[:, -1] = 0.5 + 0.5 * (np.abs(frame.index - old.seen) / OLD_FRAMES).clip(0, 1)
+        coords = np.concatenate([coords, cells.astype(np.int32)])
+        features = np.concatenate([features, recalled])
+        labels = np.concatenate([labels, old.labels])
     T_world_grid = np.eye(4)
     T_world_grid[:3, :3] = R_world_grid
     T_world_grid[:3, 3] = R_world_grid @ low
-    T_camera_grid = np.linalg.inv(np.array(frame.T_world_camera, dtype=np.float64)) @ T_world_grid
-    features = _features(coords, sums, low, size, T_turned_camera[:3, 3])
-    depth_m[depth_m > config.max_depth_m] = 0
-    return Volume(coords, features, labels, shape, size, T_world_grid, depth_m, K, T_camera_grid)
+    T_camera_grid = np.linalg.inv(T_world_camera) @ T_world_grid
+    return Volume(
+        coords, features, labels, n_seen, shape, size, T_world_grid, depth_m, K, T_camera_grid
+    )
+
+
+def _near(
+    old_points: NDArray[np.float64], seen: NDArray[np.float32], reach_m: float
+) -> NDArray[np.bool_]:
+    """(M,) bool: within reach of the bounds of what is seen, and in the grid's heights."""
+    low, high = seen.min(axis=0) - reach_m, seen.max(axis=0) + reach_m
+    low[2], high[2] = max(low[2], -1.0), min(high[2], 3.2)
+    return ((old_points >= low) & (old_points <= high)).all(axis=1)
+
+
+def _unlike(
+    cells: NDArray[np.int64], coords: NDArray[np.int32], shape: tuple[int, int, int]
+) -> NDArray[np.bool_]:
+    """(M,) bool: cells that are none of coords nor an earlier row; those out of the grid are."""
+    taken = np.zeros(shape, np.bool_)
+    taken[tuple(coords.T)] = True
+    inside = np.nonzero(((cells >= 0) & (cells < shape)).all(axis=1))[0]
+    flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
+    _, first = np.unique(flat, return_index=True)
+    unlike = np.ones(len(cells), np.bool_)
+    unlike[inside] = False
+    unlike[inside[first]] = ~taken.reshape(-1)[flat[first]]
+    return unlike
 
 
 def _features(coords, sums, low, size, camera_position) -> NDArray[np.float32]:
@@ -239,5 +307,6 @@ def _features(coords, sums, low, size, camera_position) -> NDArray[np.float32]:
     ray = centers - camera_position
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
     view = ray[:, :2] / np.maximum(np.linalg.norm(ray[:, :2], axis=1, keepdims=True), 1e-6)
-    columns = (offset, normal, centers[:, 2:] / 2, distance / 4, view, np.log(count) / 4)
+    age = np.zeros_like(count)
+    columns = (offset, normal, centers[:, 2:] / 2, distance / 4, view, np.log(count) / 4, age)
     return np.concatenate(columns, axis=1).astype(np.float32)
