@@ -121,7 +121,7 @@ def test_age(later: int, age: float) -> None:
 def test_when_nothing_is_remembered(why: str) -> None:
     config, first, second = CONFIG, frame(0, [BOX]), frame(1, [BOX], 1.2)
     if why == "too long ago":
-        second = replace(second, index=31)
+        second = replace(second, index=CONFIG.memory_frames + 1)
     elif why == "switched off":
         config = replace(CONFIG, memory_frames=0)
     elif why == "unknown pose":
