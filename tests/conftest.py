@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from composenet.config import Config, DetectionConfig, NetworkConfig, TrackingConfig, VolumeConfig
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch comes in: others compute, too
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it for what runs behind
 
 TINY = Config(
     volume=VolumeConfig(voxel_size_m=0.15),
