@@ -13,8 +13,8 @@ import numpy as np
 from composenet.baselines.records import InstanceMasks
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import pixel_rays
-from composenet.geometry.transform import make_T, rotation_z
-from composenet.records import CLASS_NAMES, Camera, Frame
+from composenet.geometry.transform import angle_between_deg, make_T, rotation_z
+from composenet.records import CLASS_NAMES, Camera, Frame, TrackedObject
 
 CABINET, CHAIR = CLASS_NAMES.index("cabinet"), CLASS_NAMES.index("chair")
 CAMERA = Camera(
@@ -90,3 +90,17 @@ def _through(rays: np.ndarray, eye: np.ndarray, box: OrientedBox) -> tuple[np.nd
             for sign in (-1, 1)
         )
     return np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+
+
+def motion_errors(
+    tracked: list[TrackedObject], truth: list[OrientedBox]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) metres of the true centre and degrees, both carried from the first frame."""
+    first, start = tracked[0].S_world_canonical, truth[0]
+    offset = first.R.T @ (start.center - first.t)
+    metres, degrees = [], []
+    for entry, true in zip(tracked, truth, strict=True):
+        S = entry.S_world_canonical
+        metres.append(np.linalg.norm(S.R @ offset + S.t - true.center))
+        degrees.append(angle_between_deg(S.R @ first.R.T, true.R @ start.R.T))
+    return np.array(metres), np.array(degrees)

@@ -7,11 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baseline_scenes import CABINET, CHAIR, Seen, cabinet, camera_pose, look, pillar, screen
+from baseline_scenes import (
+    CABINET,
+    CHAIR,
+    Seen,
+    cabinet,
+    camera_pose,
+    look,
+    motion_errors,
+    pillar,
+    screen,
+)
 from composenet.baselines.frame_to_frame import END_AFTER_FRAMES, FrameToFrame
 from composenet.baselines.records import Cameras
-from composenet.geometry.box import OrientedBox
-from composenet.geometry.transform import angle_between_deg
 from composenet.records import TrackedObject, TrackState
 
 
@@ -22,20 +30,6 @@ def without_ids(seen: Seen) -> Seen:
 def follow(scenes: list[Seen], cameras: Cameras = Cameras.GIVEN) -> list[tuple[TrackedObject, ...]]:
     system = FrameToFrame(cameras)
     return [system(seen.frame, seen.masks) for seen in scenes]
-
-
-def motion_errors(
-    tracked: list[TrackedObject], truth: list[OrientedBox]
-) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) metres of the true centre and degrees, both carried from the first frame."""
-    first, start = tracked[0].S_world_canonical, truth[0]
-    offset = first.R.T @ (start.center - first.t)
-    metres, degrees = [], []
-    for entry, true in zip(tracked, truth, strict=True):
-        S = entry.S_world_canonical
-        metres.append(np.linalg.norm(S.R @ offset + S.t - true.center))
-        degrees.append(angle_between_deg(S.R @ first.R.T, true.R @ start.R.T))
-    return np.array(metres), np.array(degrees)
 
 
 @pytest.mark.parametrize("with_ids", [True, False])

@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baseline_scenes import CABINET, CHAIR, Seen, cabinet, camera_pose, look, pillar, screen
+from baseline_scenes import (
+    CABINET,
+    CHAIR,
+    Seen,
+    cabinet,
+    camera_pose,
+    look,
+    motion_errors,
+    pillar,
+    screen,
+)
 from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_maps import Maps, measured_maps, normals_of, pyramid, smoothed
 from composenet.baselines.geometric_segmentation import masks_of_pieces, overlap_counts, pieces
@@ -304,20 +314,6 @@ def follow(scenes: list[Seen], cameras: Cameras = Cameras.GIVEN) -> list[tuple[T
     system = MaskFusion(cameras)
     frames = shown_poses([seen.frame for seen in scenes], cameras)
     return [system(f, without_ids(s).masks) for f, s in zip(frames, scenes, strict=True)]
-
-
-def motion_errors(
-    tracked: list[TrackedObject], truth: list[OrientedBox]
-) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) metres of the true centre and degrees, both carried from the first frame."""
-    first, start = tracked[0].S_world_canonical, truth[0]
-    offset = first.R.T @ (start.center - first.t)
-    metres, degrees = [], []
-    for entry, true in zip(tracked, truth, strict=True):
-        S = entry.S_world_canonical
-        metres.append(np.linalg.norm(S.R @ offset + S.t - true.center))
-        degrees.append(angle_between_deg(S.R @ first.R.T, true.R @ start.R.T))
-    return np.array(metres), np.array(degrees)
 
 
 def test_a_box_slides_at_known_speed() -> None:

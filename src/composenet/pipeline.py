@@ -28,8 +28,8 @@ from composenet.volume.voxels import voxelize
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What one frame gave. objects: every living track; estimates: the posed detections behind
-    them; timings_ms: by stage."""
+    """What one frame gave. objects: every living track that is sure enough to be told of;
+    estimates: the posed detections of the frame; timings_ms: by stage."""
 
     objects: tuple[TrackedObject, ...]
     estimates: tuple[ObjectEstimate, ...]

@@ -23,11 +23,10 @@ from scipy.spatial.transform import Rotation
 from composenet.baselines.association import mask_iou, projected_mask
 from composenet.baselines.camera import FrameToFrameCamera
 from composenet.baselines.icp import MIN_POINTS, Cloud, align
-from composenet.baselines.records import Cameras, InstanceMasks
-from composenet.geometry.box import OrientedBox, aabb_of_oriented
+from composenet.baselines.records import Cameras, InstanceMasks, surface_track
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import apply_T, make_T
-from composenet.records import CLASS_NAMES, FloatArray, Frame, Similarity, TrackedObject, TrackState
+from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, TrackState
 from composenet.tracking.assignment import assign
 
 MASK_IOU_GATE = 0.2
@@ -144,18 +143,16 @@ class _Track:
         return apply_T(self._prediction(frame_index - self._aligned_at), self._points)
 
     def record(self, frame_index: int) -> TrackedObject:
-        seen = self._seen_at == frame_index
-        R, t = self._T[:3, :3], self._T[:3, 3]
-        return TrackedObject(
-            track_id=self.track_id,
-            frame_index=frame_index,
-            class_id=int(self.votes.argmax()),
-            state=self._state if seen else TrackState.OCCLUDED,
-            confidence=self._score,
-            box=aabb_of_oriented(OrientedBox(t, R, self._extents_m)),
-            S_world_canonical=Similarity(float(np.linalg.norm(self._extents_m)), R, t),
-            extents_m=self._extents_m,
-            observed=seen,
+        """Its entry for this frame."""
+        state = self._state if self._seen_at == frame_index else None
+        return surface_track(
+            self.track_id,
+            frame_index,
+            int(self.votes.argmax()),
+            state,
+            self._score,
+            self._T,
+            self._extents_m,
         )
 
     def _prediction(self, gap: int) -> FloatArray:

@@ -43,11 +43,10 @@ from scipy.spatial.transform import Rotation
 from composenet.baselines.frame_maps import Maps, measured_maps, pyramid
 from composenet.baselines.geometric_segmentation import masks_of_pieces, overlap_counts, pieces
 from composenet.baselines.photometric_icp import LEVELS, MIN_PAIRS, align, turned
-from composenet.baselines.records import Cameras, InstanceMasks
+from composenet.baselines.records import Cameras, InstanceMasks, surface_track
 from composenet.baselines.surfels import SurfelMap
-from composenet.geometry.box import OrientedBox, aabb_of_oriented
 from composenet.geometry.transform import apply_T, inverse_T, make_T
-from composenet.records import Camera, FloatArray, Frame, Similarity, TrackedObject, TrackState
+from composenet.records import Camera, FloatArray, Frame, TrackedObject, TrackState
 
 MODEL_OVERLAP = 0.05
 """of a mask's pixels, that must show a model for the mask to be the model's"""
@@ -269,18 +268,16 @@ class Body:
         return frame_index - self._seen_at > END_AFTER_FRAMES and len(self.surfels) < KEPT_SURFELS
 
     def record(self, frame_index: int) -> TrackedObject:
-        seen = self._seen_at == frame_index
-        R, t = self._T_world_body[:3, :3], self._T_world_body[:3, 3]
-        return TrackedObject(
-            track_id=self.track_id,
-            frame_index=frame_index,
-            class_id=self.class_id,
-            state=self._state if seen else TrackState.OCCLUDED,
-            confidence=self._score,
-            box=aabb_of_oriented(OrientedBox(t, R, self._extents_m)),
-            S_world_canonical=Similarity(float(np.linalg.norm(self._extents_m)), R, t),
-            extents_m=self._extents_m,
-            observed=seen,
+        """Its entry for this frame."""
+        state = self._state if self._seen_at == frame_index else None
+        return surface_track(
+            self.track_id,
+            frame_index,
+            self.class_id,
+            state,
+            self._score,
+            self._T_world_body,
+            self._extents_m,
         )
 
     def _measure(self) -> None:

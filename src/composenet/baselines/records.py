@@ -29,7 +29,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.records import FloatArray, Frame, TrackedObject
+from composenet.geometry.box import OrientedBox, aabb_of_oriented
+from composenet.records import FloatArray, Frame, Similarity, TrackedObject, TrackState
 
 
 class Cameras(StrEnum):
@@ -84,3 +85,28 @@ class Row:
     masks: Callable[[Path], MaskSource]
     told: str
     weights: Callable[[], Path] | None = None
+
+
+def surface_track(
+    track_id: int,
+    frame_index: int,
+    class_id: int,
+    state: TrackState | None,
+    score: float,
+    T_world_body: FloatArray,
+    extents_m: FloatArray,
+) -> TrackedObject:
+    """The entry of a track whose box is centred at its body's origin (see above). state: None
+    where this frame does not show it."""
+    R, t = T_world_body[:3, :3], T_world_body[:3, 3]
+    return TrackedObject(
+        track_id=track_id,
+        frame_index=frame_index,
+        class_id=class_id,
+        state=state or TrackState.OCCLUDED,
+        confidence=score,
+        box=aabb_of_oriented(OrientedBox(t, R, extents_m)),
+        S_world_canonical=Similarity(float(np.linalg.norm(extents_m)), R, t),
+        extents_m=extents_m,
+        observed=state is not None,
+    )

@@ -194,18 +194,26 @@ def _splatted(positions, normals, radii, usable, T, height, width, fx, fy, cx, c
 
 
 @numba.njit(cache=True, nogil=True)
+def _pixel(T, position, fx, fy, cx, cy):
+    """Pixel and depth of a point; pixel (0, 0) if it is not well before the camera."""
+    x, y, z = position
+    pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    if pz < 0.1:
+        return 0, 0, pz
+    px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+    py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+    return int(np.round(fx * px / pz + cx)), int(np.round(fy * py / pz + cy)), pz
+
+
+@numba.njit(cache=True, nogil=True)
 def _centres(positions, T, height, width, fx, fy, cx, cy):
     """(H, W) the nearest surfel whose centre falls on the pixel, -1 for none."""
     index = np.full((height, width), -1, np.int32)
     depth = np.zeros((height, width), np.float32)
     for i in range(len(positions)):
-        x, y, z = positions[i]
-        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        u, v, pz = _pixel(T, positions[i], fx, fy, cx, cy)
         if pz < 0.1:
             continue
-        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-        u, v = int(np.round(fx * px / pz + cx)), int(np.round(fy * py / pz + cy))
         if 0 <= u < width and 0 <= v < height and (index[v, u] < 0 or pz < depth[v, u]):
             index[v, u] = i
             depth[v, u] = pz
@@ -293,13 +301,9 @@ def _judged(
         if confidences[i] < min_confidence and time - born[i] > UNSTABLE_FRAMES:
             kept[i] = False
             continue
-        x, y, z = positions[i]
-        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        u, v, pz = _pixel(T, positions[i], fx, fy, cx, cy)
         if pz < 0.1:
             continue
-        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-        u, v = int(np.round(fx * px / pz + cx)), int(np.round(fy * py / pz + cy))
         if not (0 <= u < width and 0 <= v < height):
             continue
         if abs(depth[v, u] - pz) < OTHERS_M:

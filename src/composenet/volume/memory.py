@@ -10,7 +10,7 @@ where one can look.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,9 @@ HIGHEST_M = 2.2
 
 @dataclass(frozen=True)
 class Surface:
-    """M voxels of surface. points: (M, 3) mean point, world, metres. normals: (M, 3) unit or zero,
-    world. counts: (M,) pixels. labels: (M,) int32 instance ids. seen: (M,) int64, the index of the
-    frame that saw it last."""
+    """M voxels of surface, in the world or in axes turned against it. points: (M, 3) mean point,
+    metres. normals: (M, 3) unit or zero. counts: (M,) pixels. labels: (M,) int32 instance ids.
+    seen: (M,) int64, the index of the frame that saw it last."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
@@ -50,6 +50,11 @@ class Surface:
     def __getitem__(self, rows: NDArray) -> Surface:
         """Some of the voxels."""
         return Surface(*(value[rows] for value in vars(self).values()))
+
+    def turned(self, R: NDArray[np.float64]) -> Surface:
+        """The same surface with other axes: p -> R p."""
+        normals = (self.normals @ R.T).astype(np.float32)
+        return replace(self, points=self.points @ R.T, normals=normals)
 
     def __add__(self, other: Surface) -> Surface:
         """Both, one after the other."""
@@ -81,10 +86,10 @@ class SurfaceMemory:
         self._surface = kept[_hidden(kept.points, depth_m, K, T_world_camera)]
         return self._surface
 
-    def remember(self, recalled: Surface, new: Surface) -> None:
-        """Keep what was recalled and what the frame saw. No voxel should be in both."""
-        worth = (new.points[:, 2] > LOWEST_M) & (new.points[:, 2] < HIGHEST_M)
-        self._surface = recalled + new[worth]
+    def remember(self, surface: Surface) -> None:
+        """Keep what was recalled and what the frame saw, world frame. No voxel twice."""
+        height = surface.points[:, 2]
+        self._surface = surface[(height > LOWEST_M) & (height < HIGHEST_M)]
 
 
 def _hidden(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.config import VolumeConfig
+from composenet.geometry.transform import make_T
 from composenet.records import Frame
 from composenet.volume.memory import Surface, SurfaceMemory
 
@@ -210,68 +211,58 @@ def voxelize(
     frame whose pose is unknown adds nothing and is not remembered.
     """
     T_world_camera = np.array(frame.T_world_camera, dtype=np.float64)
-    R_world_grid = quarter_turn(T_world_camera)
+    R = quarter_turn(T_world_camera)
     T_turned_camera = T_world_camera.copy()
-    T_turned_camera[:3] = R_world_grid.T @ T_turned_camera[:3]
+    T_turned_camera[:3] = R.T @ T_turned_camera[:3]
+    eye, size = T_turned_camera[:3, 3], config.voxel_size_m
     K = np.asarray(frame.camera.K, dtype=np.float64)
     depth_m = smooth_depth(np.ascontiguousarray(frame.depth_m, dtype=np.float32))
     points, normals, valid = _points_and_normals(
-        depth_m,
-        K[0, 0],
-        K[1, 1],
-        K[0, 2],
-        K[1, 2],
-        T_turned_camera[:3, :3],
-        T_turned_camera[:3, 3],
+        depth_m, K[0, 0], K[1, 1], K[0, 2], K[1, 2], T_turned_camera[:3, :3], eye,
         config.max_depth_m,
-    )
+    )  # fmt: skip
     if valid.sum() < 100:
         return None
-    size = config.voxel_size_m
-    seen = points[valid]
+    memory = memory if frame.pose_known else None
     old = Surface.nothing()
-    if memory is not None and frame.pose_known:
-        old = memory.recall(frame.index, depth_m, K, T_world_camera)
+    if memory is not None:
+        old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
     depth_m[depth_m > config.max_depth_m] = 0
-    old_points = old.points @ R_world_grid
-    near = _near(old_points, seen, config.memory_reach_m)
-    low, shape = _bounds(np.concatenate([seen, old_points[near]]), size)
+    near = _near(old.points, points[valid], config.memory_reach_m)
+    low, shape = _bounds(np.concatenate([points[valid], old.points[near]]), size)
     ids = np.zeros(frame.depth_m.shape, np.int32) if ids is None else ids.astype(np.int32)
     coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
     solid = sums[:, 0] >= config.min_pixels
     coords, sums, labels = coords[solid], sums[solid], labels[solid]
-    if len(coords) == 0:
-        return None
-    features = _features(coords, sums, low, size, T_turned_camera[:3, 3])
     n_seen = len(coords)
-    if memory is not None and frame.pose_known:
-        own = Surface(
-            points=((coords + features[:, :3]) * size + low) @ R_world_grid.T,
-            normals=(features[:, 3:6] @ R_world_grid.T).astype(np.float32),
-            counts=sums[:, 0],
-            labels=labels,
-            seen=np.full(n_seen, frame.index, np.int64),
-        )
-        cells = np.floor((old_points - low) / size + 0.5).astype(np.int64)
+    if n_seen == 0:
+        return None
+    features = _features(coords, sums, low, size, eye)
+    if memory is not None:
+        seen = np.full(n_seen, frame.index, np.int64)
+        means = (coords + features[:, :3]) * size + low
+        own = Surface(means, features[:, 3:6], sums[:, 0], labels, seen)
+        cells = np.floor((old.points - low) / size + 0.5).astype(np.int32)
         unlike = _unlike(cells, coords, shape)
-        memory.remember(old[unlike], own)
-        added = unlike & near
-        old, cells, old_points = old[added], cells[added], old_points[added]
-        mean = (old_points - low) / size - cells
-        sums = np.concatenate([np.ones((len(old), 1)), mean, old.normals @ R_world_grid], axis=1)
-        sums = (sums * old.counts[:, None]).astype(np.float32)
-        recalled = _features(cells, sums, low, size, T_turned_camera[:3, 3])
+        memory.remember((old[unlike] + own).turned(R))
+        old, cells = old[unlike & near], cells[unlike & near]
+        recalled = _features(cells, _sums(old, cells, low, size), low, size, eye)
         recalled[:, -1] = 0.5 + 0.5 * (np.abs(frame.index - old.seen) / OLD_FRAMES).clip(0, 1)
-        coords = np.concatenate([coords, cells.astype(np.int32)])
+        coords = np.concatenate([coords, cells])
         features = np.concatenate([features, recalled])
         labels = np.concatenate([labels, old.labels])
-    T_world_grid = np.eye(4)
-    T_world_grid[:3, :3] = R_world_grid
-    T_world_grid[:3, 3] = R_world_grid @ low
+    T_world_grid = make_T(R, R @ low)
     T_camera_grid = np.linalg.inv(T_world_camera) @ T_world_grid
     return Volume(
         coords, features, labels, n_seen, shape, size, T_world_grid, depth_m, K, T_camera_grid
     )
+
+
+def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> NDArray[np.float32]:
+    """(M, 7) what `_accumulate` would have summed of remembered voxels, in the turned frame."""
+    mean = (old.points - low) / size - cells
+    ones = np.ones((len(old), 1))
+    return (np.hstack([ones, mean, old.normals]) * old.counts[:, None]).astype(np.float32)
 
 
 def _near(
@@ -284,7 +275,7 @@ def _near(
 
 
 def _unlike(
-    cells: NDArray[np.int64], coords: NDArray[np.int32], shape: tuple[int, int, int]
+    cells: NDArray[np.int32], coords: NDArray[np.int32], shape: tuple[int, int, int]
 ) -> NDArray[np.bool_]:
     """(M,) bool: cells that are none of coords nor an earlier row; those out of the grid are."""
     taken = np.zeros(shape, np.bool_)
