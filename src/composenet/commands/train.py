@@ -7,8 +7,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.config import load
-
 
 def run_train(
     *,
@@ -25,11 +23,10 @@ def run_train(
     start_from: Path | None,
 ) -> int:
     """The command."""
-    from composenet.training.config import TrainingConfig
+    from composenet.training.config import training_config
     from composenet.training.data import SceneSource
     from composenet.training.loop import RunOptions, train
 
-    chosen = load(config, TrainingConfig) if config else TrainingConfig()
     options = RunOptions(
         out=out,
         max_minutes=max_minutes,
@@ -40,7 +37,7 @@ def run_train(
         start_from=start_from,
     )
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
-    weights = train(chosen, options, source)
+    weights = train(training_config(config), options, source)
     if os.environ.get("RANK", "0") == "0":
         line = f"wrote {weights}; try it: composenet demo --weights {weights}"
         Console().print(line, highlight=False, soft_wrap=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, cast
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from composenet.config import Config, Count, Positive, Share
+from composenet.config import Config, Count, Positive, Share, load
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -62,3 +64,15 @@ class TrainingConfig:
     min_visible_pixels: Count = 50
     """objects with fewer are no target"""
     seed: int = 0
+
+
+def training_config(source: Path | None) -> TrainingConfig:
+    """The default, a configuration of the package by its name (`paper`), or that of a JSON file.
+
+    Raises ConfigError.
+    """
+    if source is None:
+        return TrainingConfig()
+    shipped = Path(str(resources.files("composenet") / "configs" / f"{source.name}.json"))
+    named = source == Path(source.name) and shipped.is_file()
+    return cast(TrainingConfig, load(shipped if named else source, TrainingConfig))
