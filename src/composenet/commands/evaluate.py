@@ -86,4 +86,5 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
     T_source_camera = np.loadtxt(folder / "pose" / f"{first.name}.txt")
     truth = moved_truth(read_truth(folder), first.T_world_camera @ np.linalg.inv(T_source_camera))
     by_index = {frame.index: frame.objects for frame in run.frames}
-    return score_tracks(truth, [by_index.get(i, ()) for i in range(len(truth.frames))])
+    tracked = [by_index.get(i, ()) for i in range(len(truth.frames))]
+    return score_tracks(truth, tracked, canonical=run.canonical)

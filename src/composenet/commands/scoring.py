@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from composenet.errors import DataError
 from composenet.metrics.clear import FrameErrors, frame_errors
 from composenet.metrics.evaluate import SequenceScores, evaluate_sequence, tracking_frames
 from composenet.metrics.report import Section, to_rich
+from composenet.metrics.tracklets import TrackletCompletion, tracklet_completions
 from composenet.records import (
     Box,
     FloatArray,
@@ -38,11 +39,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
 @dataclass(frozen=True)
 class ScoredSequence:
     """One sequence. tracked: what was scored, in the levelled world; errors: of the tracks. Both
-    have one entry for every frame of the ground truth."""
+    have one entry for every frame of the ground truth. completions: of the tracks, empty where
+    they have no reconstructions."""
 
     scores: SequenceScores
     tracked: tuple[tuple[TrackedObject, ...], ...]
     errors: tuple[FrameErrors, ...]
+    completions: tuple[TrackletCompletion, ...] = ()
 
 
 def score_tracks(
@@ -52,13 +55,17 @@ def score_tracks(
     *,
     frames: Sequence[Frame] | None = None,
     seconds_per_frame: Sequence[float] = (),
+    canonical: Mapping[int, FloatArray] | None = None,
 ) -> ScoredSequence:
-    """Score what was tracked, and keep it. See `evaluate_sequence`."""
+    """Score what was tracked, and keep it. canonical: (64, 64, 64) in 0..1, reconstructions by
+    track id. See `evaluate_sequence`."""
     scores = evaluate_sequence(
         truth, tracked, estimates, frames=frames, seconds_per_frame=seconds_per_frame
     )
     errors = frame_errors(tracking_frames(truth, tracked))
-    return ScoredSequence(scores, tuple(tuple(entries) for entries in tracked), tuple(errors))
+    completions = tracklet_completions(truth, tracked, canonical or {})
+    kept = tuple(tuple(entries) for entries in tracked)
+    return ScoredSequence(scores, kept, tuple(errors), completions)
 
 
 def sequence_folders(data: Path) -> list[Path]:
@@ -104,6 +111,7 @@ def score_sequence(
         [results[i].estimates if i in results else () for i in every],
         frames=[shown.get(i, blank) for i in every],
         seconds_per_frame=seconds,
+        canonical={track.track_id: track.canonical for track in tracker.tracks()},
     )
 
 
