@@ -151,8 +151,8 @@ def test_hindsight_keeps_what_was_ever_sure():
         entries = zip(one.history, confidences, strict=True)
         return replace(one, history=tuple(replace(e, confidence=c) for e, c in entries))
 
-    vague = sure(track(1, "TTT", y=-1.0), 0.3, 0.55, 0.5)
-    late = sure(track(2, "TTL", y=1.0), 0.4, 0.65, 0.5)
+    vague = sure(track(1, "TTT", y=-1.0), 0.3, 0.45, 0.4)
+    late = sure(track(2, "TTL", y=1.0), 0.4, 0.65, 0.4)
     kept = look_back([vague, late], CONFIG)
     assert [one.track_id for one in kept] == [2]
     assert letters(kept[0]) == "TTL"

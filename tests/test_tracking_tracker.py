@@ -199,7 +199,7 @@ def test_the_equal_class_is_preferred_among_overlapping_boxes():
 def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
     pair = [thing(3, 0, score=0.6), thing(3, 0.1, score=0.9)]
     _, outputs = run([(None, pair)])
-    assert [e.confidence for e in outputs[0]] == [0.45]
+    assert [e.confidence for e in outputs[0]] == [0.9 * 0.75]
     weak, too_weak = (None, [thing(3, 0, score=0.45)]), (None, [thing(3, 0, score=0.25)])
     _, outputs = run([weak, SEEN, weak, too_weak])
     assert seen_at(outputs) == [[], [1], [1], []]
@@ -231,10 +231,10 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
 @pytest.mark.parametrize(
     ("scores", "told"),
     [
-        ((0.9, 0.9, 0.9), [1, 2]),
-        ((0.65, 0.65, 0.65, 0.65, 0.65), [3, 4]),
-        ((0.6, 0.4, 0.4, 0.4, 0.4), []),
-        ((0.6, 0.9, 0.9, 0.3, 0.3), [2, 3, 4]),
+        ((0.9, 0.9, 0.9), [0, 1, 2]),
+        ((0.52, 0.52, 0.52, 0.52, 0.52), [2, 3, 4]),
+        ((0.5, 0.4, 0.4, 0.4, 0.4), []),
+        ((0.5, 0.4, 0.9, 0.9, 0.3), [2, 3, 4]),
     ],
 )
 def test_a_track_is_told_of_once_it_is_sure(scores, told):
@@ -253,9 +253,16 @@ def test_confidence_grows_with_hits_and_decays_while_unseen():
     stream = [SEEN] * 3 + [(HIDE, [])] * 2 + [(frame(0), [])] * 2 + [SEEN]
     _, outputs = run(stream)
     values = [out[0].confidence for out in outputs]
-    seen = [0.9 * (1 - 0.5**hits) for hits in (1, 2, 3)]
+    seen = [0.9 * (1 - 0.25**hits) for hits in (1, 2, 3)]
     unseen = [seen[-1] * factor for factor in (0.98, 0.98**2, 0.98**2 * 0.9, 0.98**2 * 0.81)]
-    np.testing.assert_allclose(values, [*seen, *unseen, 0.9 * (1 - 0.5**4)], rtol=1e-6)
+    np.testing.assert_allclose(values, [*seen, *unseen, 0.9 * (1 - 0.25**4)], rtol=1e-6)
+
+
+def test_confidence_is_less_where_the_class_is_in_doubt():
+    """Of two votes of equal weight for either class, one half agrees."""
+    doubtful = [[thing(3, 0, score=0.8)], [thing(3, 0, score=0.8, class_id=TABLE)]]
+    _, outputs = run([(None, estimates) for estimates in doubtful])
+    assert [out[0].confidence for out in outputs] == pytest.approx([0.6, 0.8 * 0.5 * (1 - 1 / 16)])
 
 
 def test_frames_must_come_in_order():

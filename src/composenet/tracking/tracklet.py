@@ -54,8 +54,9 @@ class Tracklet:
     It is `confirmed` once its confidence has reached config.min_confidence, and stays so.
 
     Confidence: while seen, the running mean of the scores (weighted as the canonical model)
-    times (1 - 0.5 ** hits), so that one detection counts half; while unseen, it decays by a
-    factor a frame, faster when lost than when occluded; 0 at the end.
+    times the share of its class in the votes so far, times (1 - 0.25 ** hits), so that one
+    detection counts three quarters; while unseen, it decays by a factor a frame, faster when
+    lost than when occluded; 0 at the end.
     """
 
     def __init__(
@@ -152,7 +153,8 @@ class Tracklet:
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
         self._hits += 1
         self._visible_misses = 0
-        self._confidence = self._mean_score * (1 - 0.5**self._hits)
+        agreed = float(self._votes.max() / self._votes.sum())
+        self._confidence = self._mean_score * agreed * (1 - 0.25**self._hits)
         if not self.confirmed and self._confidence >= self._config.min_confidence:
             self._confirmed_at = frame_index
         self._record(frame_index, observed=True)
