@@ -274,6 +274,9 @@ KEYS = [
     "translation_error_cm_median",
     "pose_recall",
     "seconds_per_frame_median",
+    "mota_interval",
+    "det_ap50_per_class",
+    "completion_ap25_per_class",
 ]
 
 
@@ -293,7 +296,10 @@ def test_results_file(tmp_path):
     assert (first["mota_mean"], first["idf1"], first["det_map50"]) == (100, 100, 100)
     assert first["mota_per_class"]["chair"] == 100
     assert first["mota_per_class"]["bed"] is None
-    assert second["det_map25"] is None
+    assert first["mota_interval"] == [100, 100]
+    assert first["det_ap50_per_class"]["chair"] == 100
+    assert first["completion_ap25_per_class"]["bed"] is None
+    assert second["det_map25"] is second["det_ap50_per_class"]["chair"] is None
     assert first["seconds_per_frame_median"] is None
     assert [p.name for p in tmp_path.iterdir()] == ["results.json"]
     assert results(info, {"full": full})["variants"]["full"] == first

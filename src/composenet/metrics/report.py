@@ -164,12 +164,11 @@ def _line(cells: Sequence[str]) -> str:
 
 def _variant(scores: DatasetScores) -> dict[str, Any]:
     pose = scores.pose
-    per_class = zip(CLASS_NAMES, scores.clear_per_class, strict=True)
     return {
         "sequences": scores.sequences,
         "mota_mean": _percent(scores.mota_mean),
         "mota_pooled": _percent(scores.clear.mota),
-        "mota_per_class": {name: _percent(clear.mota) for name, clear in per_class},
+        "mota_per_class": _named([clear.mota for clear in scores.clear_per_class]),
         "idf1": _percent(scores.identity.idf1),
         "hota": _percent(scores.hota.hota),
         "id_switches": scores.clear.id_switches,
@@ -181,7 +180,15 @@ def _variant(scores: DatasetScores) -> dict[str, Any]:
         "translation_error_cm_median": _number(pose.translation_cm_median if pose else _UNDEFINED),
         "pose_recall": _percent(pose.recall if pose else _UNDEFINED),
         "seconds_per_frame_median": _number(scores.seconds_median),
+        "mota_interval": [_percent(bound) for bound in scores.mota_interval],
+        "det_ap50_per_class": _named(_by_class(scores, "box50")),
+        "completion_ap25_per_class": _named(_by_class(scores, "completion25")),
     }
+
+
+def _named(shares: Sequence[float]) -> dict[str, float | None]:
+    """Percentages by class name."""
+    return {name: _percent(share) for name, share in zip(CLASS_NAMES, shares, strict=True)}
 
 
 def _percent(share: float) -> float | None:
