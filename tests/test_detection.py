@@ -11,13 +11,21 @@ import torch
 from sklearn.cluster import MeanShift
 
 from composenet.config import DetectionConfig
-from composenet.detection import BOX_LIMITS_M, Proposals, mean_shift, propose, second_look
+from composenet.detection import (
+    BOX_LIMITS_M,
+    Proposals,
+    mean_shift,
+    propose,
+    remembered,
+    second_look,
+)
 from composenet.geometry.box import iou
 from composenet.network.batch import VolumeBatch
 from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.records import Box
+from composenet.volume.voxels import Volume
 from conftest import TINY
 
 CONFIG = DetectionConfig()
@@ -319,3 +327,50 @@ def test_a_second_look_of_the_network_itself() -> None:
     order = [voted[0].voxels.tolist().index(n) for n in found.voxels.tolist()]
     gap = (found.center - voted[0].center[order]).abs() / voted[0].extents[order]
     assert 0 < gap.max() < 0.1  # it has learned nothing yet
+
+
+def block_volume(quarter_turns: int, n_seen: int) -> tuple[Volume, Box]:
+    """4 x 6 x 8 voxels of one block, of which the frame sees the first n_seen; and its box in the
+    world, where the grid is turned and shifted."""
+    coords = np.stack(np.meshgrid(range(4), range(6), range(8), indexing="ij"), -1).reshape(-1, 3)
+    T, angle = np.eye(4), np.pi / 2 * quarter_turns
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[:3, 3] = [1.0, -2.0, 0.5]
+    volume = Volume(
+        (coords + 3).astype(np.int32),
+        np.zeros((len(coords), 12), np.float32),
+        np.zeros(len(coords), np.int32),
+        n_seen,
+        (16, 16, 16),
+        VOXEL_M,
+        T,
+        np.zeros((2, 2), np.float32),
+        np.eye(3),
+        np.eye(4),
+    )
+    corners = (VOXEL_M * (coords + 3)) @ T[:3, :3].T + T[:3, 3]
+    low, high = corners.min(axis=0) - VOXEL_M / 2, corners.max(axis=0) + VOXEL_M / 2
+    return volume, Box((low + high) / 2, high - low)
+
+
+NOTHING = Proposals(
+    torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0, 10), torch.zeros(0), torch.zeros(0)
+)
+
+
+@pytest.mark.parametrize("quarter_turns", range(4))
+def test_a_track_is_looked_for_where_it_was(quarter_turns: int) -> None:
+    volume, box = block_volume(quarter_turns, 192)
+    aside = Box(box.center + 1.0, box.extents)
+    found = remembered([aside, box], volume, NOTHING, CONFIG)
+    np.testing.assert_allclose(found.center, [[0.225, 0.275, 0.325]], atol=1e-6)
+    np.testing.assert_allclose(found.extents, [[0.2, 0.3, 0.4]], atol=1e-6)
+    assert found.voxels.tolist() == [192]
+    assert found.class_probabilities.shape == (1, 10)
+
+
+@pytest.mark.parametrize(("n_seen", "kept"), [(CONFIG.min_cluster_voxels - 1, 0), (20, 1), (0, 0)])
+def test_a_track_that_the_frame_does_not_show_is_not_looked_for(n_seen: int, kept: int) -> None:
+    volume, box = block_volume(1, n_seen)
+    assert len(remembered([box], volume, NOTHING, CONFIG).center) == kept
+    assert len(remembered([], volume, NOTHING, CONFIG).center) == 0

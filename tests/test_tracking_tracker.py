@@ -265,6 +265,18 @@ def test_confidence_is_less_where_the_class_is_in_doubt():
     assert [out[0].confidence for out in outputs] == pytest.approx([0.6, 0.8 * 0.5 * (1 - 1 / 16)])
 
 
+def test_boxes_are_those_of_living_tracks_sure_or_not():
+    config = TrackingConfig(end_after_visible_misses=2)
+    tracker = Tracker(config)
+    tracker.update(frame(0), [thing(3, 0, score=0.5)])
+    assert not tracker.tracks()
+    (box,) = tracker.boxes
+    np.testing.assert_allclose(box.center[:2], [3, 0])
+    for index in (1, 2):
+        tracker.update(frame(index), [])
+    assert tracker.boxes == ()
+
+
 def test_frames_must_come_in_order():
     tracker = Tracker()
     tracker.update(frame(3), [])

@@ -64,6 +64,8 @@ class DetectionConfig:
 
     use_mirror: bool = True
     """look at the mirror image of the volume too and average; a second pass of the backbone"""
+    use_tracks: bool = True
+    """look again where tracks were last; False: each frame finds its objects alone [paper]"""
     objectness_threshold: Share = 0.5
     mean_shift_steps: Count = 20
     """[paper]"""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,6 +15,8 @@ from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.mirror import Mirror, mean_boxes
 from composenet.network.model import ComposeNet
+from composenet.records import Box
+from composenet.volume.voxels import Volume
 
 BOX_LIMITS_M = (0.15, 5.0)
 """Boxes are taken to be no smaller and no larger than furniture."""
@@ -32,6 +36,11 @@ class Proposals:
     class_probabilities: Tensor
     score: Tensor
     voxels: Tensor
+
+    def __add__(self, other: Proposals) -> Proposals:
+        """Both, one after the other."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Proposals(*(torch.cat(pair) for pair in pairs))
 
 
 def mean_shift(
@@ -129,6 +138,28 @@ def _propose_frame(
         score=mean[order, 1],
         voxels=count[order],
     )
+
+
+def remembered(
+    boxes: Sequence[Box], volume: Volume, like: Proposals, config: DetectionConfig
+) -> Proposals:
+    """Where tracks were last, as further proposals of the frame `volume` is of: a second look at
+    them finds objects that too few votes gather for. Boxes with less than
+    config.min_cluster_voxels of what the frame sees in them are left out.
+
+    boxes: world frame. like: proposals of the same network and device; class and score of the new
+    ones are zero.
+    """
+    low, R = volume.T_world_grid[:3, 3], volume.T_world_grid[:3, :3]
+    center = np.reshape([box.center for box in boxes], (-1, 3)) - low
+    extents = np.reshape([box.extents for box in boxes], (-1, 3))
+    center, extents = center @ R, extents @ np.abs(R)  # R is a quarter turn
+    seen = volume.coords[: volume.n_seen] * volume.voxel_size_m
+    inside = (np.abs(seen - center[:, None]) <= extents[:, None] / 2).all(axis=2).sum(axis=1)
+    keep = inside >= config.min_cluster_voxels
+    new = like.center.new_tensor
+    zeros = like.class_probabilities.new_zeros(int(keep.sum()), like.class_probabilities.shape[1])
+    return Proposals(new(center[keep]), new(extents[keep]), zeros, zeros[:, 0], new(inside[keep]))
 
 
 @torch.no_grad()

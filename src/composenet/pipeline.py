@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, to_dict
-from composenet.detection import propose, second_look
+from composenet.detection import propose, remembered, second_look
 from composenet.errors import ConfigError
 from composenet.network.batch import collate
 from composenet.network.mirror import Mirror
@@ -46,7 +46,7 @@ class ObjectTracker:
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame."""
-        clock = _Clock(self.device)
+        clock, detection = _Clock(self.device), self.config.detection
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)
         estimates: tuple[ObjectEstimate, ...] = ()
@@ -56,13 +56,15 @@ class ObjectTracker:
                 mirror = None
                 with clock("backbone"):
                     fields = self.network.voxel_fields(batch)
-                    if self.config.detection.use_mirror:
+                    if detection.use_mirror:
                         fields, mirror = Mirror.of(self.network, batch).agreed(fields)
                 with clock("proposals"):
-                    voted = propose(fields, batch, self.config.detection)
+                    (found,) = propose(fields, batch, detection)
+                    if detection.use_tracks:
+                        found += remembered(self._tracker.boxes, volume, found, detection)
                 with clock("boxes"):
                     (proposals,) = second_look(
-                        self.network, fields, batch, voted, self.config.detection, mirror
+                        self.network, fields, batch, (found,), detection, mirror
                     )
                 with clock("objects"):
                     estimates = estimate_objects(

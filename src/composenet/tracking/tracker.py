@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from composenet.config import TrackingConfig, VolumeConfig
 from composenet.errors import SequenceError
-from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
+from composenet.records import Box, Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
 from composenet.tracking.offline import look_back
 from composenet.tracking.tracklet import Tracklet
@@ -65,6 +65,11 @@ class Tracker:
             tracklet.miss(frame.index, view)
         born = [self._birth(frame.index, p) for p in unclaimed if self._may_start(p)]
         return tuple(t.latest for t in alive + born if t.confirmed)
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """The last boxes of all living tracks, confirmed or not, world frame."""
+        return tuple(t.box for t in self._tracklets if t.alive)
 
     def tracks(self) -> tuple[Track, ...]:
         """All confirmed tracks so far, as they were told of, ended ones included, by id."""

@@ -7,7 +7,8 @@ import dataclasses
 import torch
 from torch import Tensor, nn
 
-from composenet.detection import Proposals, propose
+from composenet.detection import Proposals, propose, second_look
+from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
 from composenet.training.losses import (
@@ -50,7 +51,7 @@ class LossModule(nn.Module):
             fields = self.network.voxel_fields(batch.volume)
             proposals: tuple[Proposals, ...] = ()
             if learns_boxes:
-                proposals = propose(fields, batch.volume, config.model.detection)
+                proposals = self._proposals(fields, batch)
             boxes = training_boxes(batch, proposals, generator)
             corrected = self.network.box_fields(
                 fields, batch.volume, boxes.center, boxes.extents, boxes.frame
@@ -77,6 +78,16 @@ class LossModule(nn.Module):
         if not joint:  # correspondences must make sense before a pose is fitted to them
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
         return losses | more, errors
+
+    def _proposals(self, fields: VoxelFields, batch: TrainingBatch) -> tuple[Proposals, ...]:
+        """What the detector finds, and what the second look makes of it: in tracking that is where
+        it looks again (see `detection.remembered`)."""
+        detection = self.config.model.detection
+        found = propose(fields, batch.volume, detection)
+        if not detection.use_tracks:
+            return found
+        again = second_look(self.network, fields, batch.volume, found, detection)
+        return tuple(a + b for a, b in zip(found, again, strict=True))
 
 
 def weighted_sum(losses: dict[str, Tensor], config: TrainingConfig) -> Tensor:
