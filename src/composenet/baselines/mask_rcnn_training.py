@@ -1,0 +1,236 @@
+"""Training of the baselines' Mask R-CNN: streamed frames, resumable, bounded in time."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+from torch import nn
+from torch.utils.data import DataLoader
+
+from composenet.baselines.mask_rcnn import NAME
+from composenet.baselines.mask_rcnn_data import (
+    FRAMES_PER_SCENE,
+    POOL_FRAMES,
+    FrameStream,
+    MaskSample,
+)
+from composenet.baselines.mask_rcnn_network import MaskRcnnConfig, make_network, save_network
+from composenet.config import from_dict, to_dict
+from composenet.errors import WeightsError
+from composenet.pipeline import select_device
+from composenet.synth.scene import SceneOptions
+from composenet.training.checkpoint import Progress
+from composenet.training.processes import StopRequest, leave_signals_to_parent
+
+FORMAT = "composenet.mask_rcnn_checkpoint/1"
+WARMUP_STEPS = 150
+DECAY_SHARE = 0.5
+"""the rate falls to zero over this last part of a run, so every run ends with usable weights"""
+WEIGHT_DECAY = 1e-4
+GRADIENT_CLIP = 5.0
+SAY_EVERY_S, SAVE_EVERY_S = 20.0, 300.0
+PREFETCHED = 4
+"""batches that a worker makes ahead"""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How long, where and how a run goes. resume: go on from the checkpoint in `out`."""
+
+    out: Path
+    max_minutes: float = 60.0
+    max_steps: int | None = None
+    batch_frames: int = 2
+    learning_rate: float = 1e-3
+    workers: int = 1
+    threads: int | None = None
+    device: str = "auto"
+    seed: int = 0
+    resume: bool = False
+
+
+class Trainer:
+    """State of one run: network, optimiser, progress."""
+
+    def __init__(self, config: MaskRcnnConfig, options: TrainingOptions) -> None:
+        self.options, self.config, self.progress = options, config, Progress()
+        self.checkpoint_path = options.out / "checkpoint.pt"
+        self.device = select_device(options.device)
+        torch.manual_seed(options.seed)
+        stored = self._stored()
+        if stored:
+            self.config = from_dict(stored["config"], MaskRcnnConfig)
+            self.progress = Progress(**stored["progress"])
+        self.network = make_network(self.config).to(self.device).train()
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=options.learning_rate, weight_decay=WEIGHT_DECAY
+        )
+        if stored:
+            self.network.load_state_dict(stored["network"])
+            self.optimizer.load_state_dict(stored["optimizer"])
+
+    def step(self, batch: list[MaskSample], rate: float) -> dict[str, float]:
+        """One optimiser step; the losses as numbers."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        images = [sample.image.to(self.device) for sample in batch]
+        losses = self.network(images, [sample.target(self.device) for sample in batch])
+        total = torch.stack(list(losses.values())).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_CLIP)
+        if torch.isfinite(norm):
+            self.optimizer.step()
+        self.progress.step += 1
+        self.progress.frames += len(batch)
+        values = {name.removeprefix("loss_"): float(v.detach()) for name, v in losses.items()}
+        return values | {"total": float(total.detach())}
+
+    def save(self) -> Path:
+        """Checkpoint and weights, each written atomically."""
+        partial = self.checkpoint_path.with_name("checkpoint.pt.partial")
+        state = {
+            "format": FORMAT,
+            "config": to_dict(self.config),
+            "progress": asdict(self.progress),
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+        torch.save(state, partial)
+        os.replace(partial, self.checkpoint_path)
+        notes = {
+            "steps": self.progress.step,
+            "frames": self.progress.frames,
+            "training_minutes": round(self.progress.seconds / 60, 1),
+            "device": self.device.type,
+            "seed": self.options.seed,
+        }
+        path = self.options.out / NAME
+        save_network(self.network, self.config, path, notes)
+        return path
+
+    def _stored(self) -> dict[str, Any] | None:
+        path = self.checkpoint_path
+        if self.options.resume != path.exists():
+            raise WeightsError(
+                f"{path}: no checkpoint to go on from; leave --resume out"
+                if self.options.resume
+                else f"{path}: a run has begun here; give --resume to go on, or another --out"
+            )
+        if not self.options.resume:
+            return None
+        try:
+            stored = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            reason = str(error).strip().splitlines()[0][:200]
+            raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
+        if not isinstance(stored, dict) or stored.get("format") != FORMAT:
+            raise WeightsError(f"{path}: not a {FORMAT} file; name another --out")
+        return stored
+
+
+def train(config: MaskRcnnConfig, options: TrainingOptions, scenes: SceneOptions) -> Path:
+    """Train until max_minutes, max_steps or ctrl-C; the path of the weights. Raises WeightsError
+    where a run cannot begin or go on."""
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    options.out.mkdir(parents=True, exist_ok=True)
+    trainer = Trainer(config, options)
+    with StopRequest() as stop, Log(options.out) as log:
+        try:
+            _run(trainer, _batches(trainer, scenes), stop, log)
+        finally:
+            path = trainer.save()
+    return path
+
+
+def _run(
+    trainer: Trainer, batches: Iterator[list[MaskSample]], stop: StopRequest, log: Log
+) -> None:
+    options, progress = trainer.options, trainer.progress
+    start = saved = time.monotonic()
+    seconds_before, steps_before = progress.seconds, progress.step
+    while not stop.asked_at:
+        now = time.monotonic()
+        share = (now - start) / 60 / options.max_minutes
+        if options.max_steps:
+            share = max(share, (progress.step - steps_before) / options.max_steps)
+        if share >= 1:
+            break
+        batch = next(batches)
+        waited = time.monotonic() - now
+        rate = learning_rate(options.learning_rate, progress.step, share)
+        values = trainer.step(batch, rate)
+        progress.scenes += -(-len(batch) // FRAMES_PER_SCENE)
+        progress.seconds = seconds_before + time.monotonic() - start
+        values |= {"rate": rate, "wait_s": waited, "step_s": time.monotonic() - now}
+        log.step(progress, values, (1 - share) * options.max_minutes)
+        if time.monotonic() - saved > SAVE_EVERY_S:
+            trainer.save()
+            saved = time.monotonic()
+
+
+def learning_rate(peak: float, steps_done: int, run_share: float) -> float:
+    """Warm-up over the first steps of all, constant, then linear to zero at the run's end."""
+    warm = min(1.0, (steps_done + 1) / WARMUP_STEPS)
+    return peak * warm * min(1.0, max(0.01, (1 - run_share) / DECAY_SHARE))
+
+
+def _batches(trainer: Trainer, scenes: SceneOptions) -> Iterator[list[MaskSample]]:
+    """Batches from the workers. Counts the scenes that those draw ahead, so that a resumed run
+    never draws one twice."""
+    options, progress = trainer.options, trainer.progress
+    stream = FrameStream(options.batch_frames, progress.scenes, options.seed, scenes)
+    ahead = POOL_FRAMES + (1 + PREFETCHED) * options.batch_frames
+    progress.scenes += -(-ahead // FRAMES_PER_SCENE) * max(1, options.workers)
+    loader = DataLoader(
+        stream,
+        batch_size=None,
+        num_workers=options.workers,
+        prefetch_factor=PREFETCHED if options.workers else None,
+        worker_init_fn=leave_signals_to_parent,
+    )
+    return iter(loader)
+
+
+class Log:
+    """A line a step to steps.log, a line now and then to the terminal."""
+
+    def __init__(self, out: Path) -> None:
+        self._file = (out / "steps.log").open("a")
+        self._console = Console()
+        self._mean: dict[str, float] = {}
+        self._said = 0.0
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def step(self, progress: Progress, values: dict[str, float], minutes_left: float) -> None:
+        """Note one step."""
+        line = " ".join(f"{name}={value:.4g}" for name, value in values.items())
+        self._file.write(f"step={progress.step} {line}\n")
+        for name, value in values.items():
+            self._mean[name] = 0.98 * self._mean.get(name, value) + 0.02 * value
+        if time.monotonic() - self._said < SAY_EVERY_S:
+            return
+        self._said = time.monotonic()
+        self._file.flush()
+        names = ("total", "objectness", "classifier", "box_reg", "mask")
+        losses = "  ".join(f"{name} {self._mean[name]:.3f}" for name in names)
+        waiting = 100 * self._mean["wait_s"] / self._mean["step_s"]
+        self._console.print(
+            f"step {progress.step}  {losses}  {self._mean['step_s']:.1f} s a step, waiting "
+            f"{waiting:.0f}%  up to {minutes_left:.0f} min left",
+            highlight=False,
+            soft_wrap=True,
+        )
