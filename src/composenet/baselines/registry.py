@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_to_frame import FrameToFrame
 from composenet.baselines.mask_fusion import MaskFusion
+from composenet.baselines.mask_rcnn import MaskRcnnMasks, mask_rcnn_weights
 from composenet.baselines.records import Row
 from composenet.baselines.true_masks import TrueMasks
 
+
+def _mask_rcnn(_folder: Path) -> MaskRcnnMasks:
+    return MaskRcnnMasks()
+
+
 ROWS: dict[str, Row] = {
     "f2f-gt": Row(FrameToFrame, TrueMasks, told="true masks, classes and identities"),
+    "f2f-mask-rcnn": Row(FrameToFrame, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
     "maskfusion-gt-masks": Row(
         MaskFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
+    "maskfusion": Row(MaskFusion, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
 }
 """By name, in the table's order."""
