@@ -31,7 +31,9 @@ from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 
 GROUPS = 5
-"""parts of equal size that the sequences fall into, by completion"""
+"""parts of equal size that the sequences fall into, by completion, at most"""
+GROUP_SIZE = 4
+"""sequences in such a part, at least"""
 _BLUE, _ORANGE, _GREY = "#2f6fb0", "#d97b29", "#8a8a8a"
 
 
@@ -147,11 +149,12 @@ def sequence_points(scored: dict[Path, ScoredSequence]) -> list[SequencePoint]:
     return points
 
 
-def grouped(points: list[SequencePoint], groups: int = GROUPS) -> list[Group]:
+def grouped(points: list[SequencePoint]) -> list[Group]:
     """Sequences in order of their completion, cut into parts of equal size."""
     ordered = sorted(points, key=lambda point: point.completion_iou)
+    count = max(1, min(GROUPS, len(ordered) // GROUP_SIZE))
     result = []
-    for part in np.array_split(np.arange(len(ordered)), min(groups, len(ordered))):
+    for part in np.array_split(np.arange(len(ordered)), count):
         motas = np.array([ordered[i].mota for i in part])
         completion = float(np.mean([ordered[i].completion_iou for i in part]))
         interval = bootstrap_interval(motas)
@@ -230,6 +233,8 @@ def draw_completion(
     points: list[SequencePoint], groups: list[Group], where: str, path: Path
 ) -> None:
     """A dot a sequence; means of groups of sequences with their intervals."""
+    sizes = sorted({group.sequences for group in groups})
+    size = " or ".join(map(str, sizes))
     figure, axes = plt.subplots(figsize=(6, 4.2), layout="constrained")
     axes.plot(
         [p.completion_iou for p in points],
@@ -248,7 +253,7 @@ def draw_completion(
         fmt="s-",
         color=_ORANGE,
         capsize=3,
-        label=f"mean of {len(points)} / {len(groups)} sequences, 95 % interval",
+        label=f"mean of {size} sequences, 95 % interval",
     )
     axes.set_xlabel("completion: volume IoU, mean over the sequence's tracks")
     axes.set_ylabel("MOTA, %")
