@@ -146,13 +146,13 @@ def test_without_correspondences_nothing_is_linked():
     assert link_offline(tracks, replace(CONFIG, use_correspondences=False)) == tracks
 
 
-def test_hindsight_keeps_what_was_ever_sure():
+def test_hindsight_keeps_what_was_sure_on_the_whole():
     def sure(one: Track, *confidences: float) -> Track:
         entries = zip(one.history, confidences, strict=True)
         return replace(one, history=tuple(replace(e, confidence=c) for e, c in entries))
 
-    vague = sure(track(1, "TTT", y=-1.0), 0.3, 0.45, 0.4)
-    late = sure(track(2, "TTL", y=1.0), 0.4, 0.65, 0.4)
+    vague = sure(track(1, "TTT", y=-1.0), 0.9, 0.5, 0.3)
+    late = sure(track(2, "TTL", y=1.0), 0.4, 0.85, 0.3)  # unseen in the last frame
     kept = look_back([vague, late], CONFIG)
     assert [one.track_id for one in kept] == [2]
     assert letters(kept[0]) == "TTL"

@@ -16,7 +16,7 @@ from composenet.records import Box, Similarity, TrackState
 from composenet.tracking.tracker import Tracker
 from tracking_scenes import CHAIR, DESK, SIZE, TABLE, block, frame, screen, thing
 
-CONFIG = TrackingConfig(min_confidence=0.0)
+CONFIG = TrackingConfig(min_confidence=0.0, keep_confidence=0.0)
 AWAY, HIDE = frame(0, yaw=np.pi / 2), frame(0, [screen(1.5, 0.0)])
 EMPTY = np.zeros((64, 64, 64), np.float32)
 
@@ -232,21 +232,24 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
     ("scores", "told"),
     [
         ((0.9, 0.9, 0.9), [0, 1, 2]),
-        ((0.52, 0.52, 0.52, 0.52, 0.52), [2, 3, 4]),
-        ((0.5, 0.4, 0.4, 0.4, 0.4), []),
-        ((0.5, 0.4, 0.9, 0.9, 0.3), [2, 3, 4]),
+        ((0.62, 0.62, 0.62, 0.62, 0.62), [2, 3, 4]),
+        ((0.6, 0.5, 0.5, 0.5, 0.5), []),
+        ((0.9, *6 * [0.3], 0.9, 0.9), [0, 1, 2, 3, 4, 8]),
     ],
 )
-def test_a_track_is_told_of_once_it_is_sure(scores, told):
-    config = TrackingConfig()
-    tracker, outputs = run([(None, [thing(3, 0, score=s)]) for s in scores], config)
-    frames = [index for index, out in enumerate(outputs) if out]
-    assert frames == told
+def test_a_track_is_told_of_while_it_is_sure(scores, told):
+    """From a confidence of 0.6 on, until it is less than 0.5; in hindsight in all frames or none."""
+    tracker, outputs = run([(None, [thing(3, 0, score=s)]) for s in scores], TrackingConfig())
+    assert [index for index, out in enumerate(outputs) if out] == told
     assert [[e.frame_index for e in t.history] for t in tracker.tracks()] == [told] * bool(told)
-    whole = tracker.hindsight()
-    assert [[e.frame_index for e in t.history] for t in whole] == [[*range(len(scores))]] * bool(
-        told
-    )
+    whole = [[e.frame_index for e in t.history] for t in tracker.hindsight()]
+    assert whole in ([], [[*range(len(scores))]])
+
+
+def test_a_sure_track_is_told_of_while_it_is_unseen():
+    _, outputs = run([SEEN, SEEN, (HIDE, []), (HIDE, []), (frame(0), [])], TrackingConfig())
+    assert [len(out) for out in outputs] == [1] * 5
+    assert not outputs[-1][0].observed
 
 
 def test_confidence_grows_with_hits_and_decays_while_unseen():

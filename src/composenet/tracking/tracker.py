@@ -35,8 +35,9 @@ class Tracker:
     def update(
         self, frame: Frame, estimates: Sequence[ObjectEstimate]
     ) -> tuple[TrackedObject, ...]:
-        """Every confirmed track in this frame, by id: seen ones, unseen ones at their last pose,
-        and, once, those that ended in it. Ids are given at birth, so some are never told of.
+        """Every track that is told of in this frame (see `Tracklet`), by id: seen ones, unseen ones
+        at their last pose, and, once, those that ended in it. Ids are given at birth, so some never
+        appear.
 
         The order of the estimates does not matter. Raises SequenceError for a frame whose
         index is not larger than the one before.
@@ -64,16 +65,17 @@ class Tracker:
         for tracklet, view in zip(unseen, views, strict=True):
             tracklet.miss(frame.index, view)
         born = [self._birth(frame.index, p) for p in unclaimed if self._may_start(p)]
-        return tuple(t.latest for t in alive + born if t.confirmed)
+        return tuple(t.latest for t in alive + born if t.told)
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """The last boxes of all living tracks, confirmed or not, world frame."""
+        """The last boxes of all living tracks, told of or not, world frame."""
         return tuple(t.box for t in self._tracklets if t.alive)
 
     def tracks(self) -> tuple[Track, ...]:
-        """All confirmed tracks so far, as they were told of, ended ones included, by id."""
-        return tuple(t.track() for t in self._tracklets if t.confirmed)
+        """All tracks so far, as they were told of, ended ones included, by id."""
+        tracks = [t.track() for t in self._tracklets]
+        return tuple(track for track in tracks if track.history)
 
     def hindsight(self) -> tuple[Track, ...]:
         """All tracks from their birth on, told of or not, as the whole recording shows them."""

@@ -51,7 +51,8 @@ class Tracklet:
     """Mutable; owned by one Tracker. Born from a proposal, then told of every frame either
     that it was seen (`observe`) or that it was not (`miss`).
 
-    It is `confirmed` once its confidence has reached config.min_confidence, and stays so.
+    It is told of from the frame on in which its confidence reaches config.min_confidence, until
+    it is seen with less than config.keep_confidence; then once more when it reaches the former.
 
     Confidence: while seen, the running mean of the scores (weighted as the canonical model)
     times the share of its class in the votes so far, times (1 - 0.25 ** hits), so that one
@@ -70,10 +71,11 @@ class Tracklet:
         self._hits = 0
         self._mean_score = estimate.score
         self._confidence = 0.0
-        self._confirmed_at: int | None = None
+        self.told = False
         self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
         self._history: list[TrackedObject] = []
+        self._told_of: list[TrackedObject] = []
         self.S_world_canonical = estimate.S_world_canonical
         self.extents_m = estimate.extents_m
         self._pose_known = estimate.pose_observable
@@ -83,11 +85,6 @@ class Tracklet:
     def alive(self) -> bool:
         """Whether it may still be matched."""
         return self.state is not TrackState.ENDED
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether it has been sure enough, once, to be told of."""
-        return self._confirmed_at is not None
 
     @property
     def class_id(self) -> int:
@@ -124,12 +121,11 @@ class Tracklet:
         self._record(frame_index, observed=False)
 
     def track(self) -> Track:
-        """Everything since it was confirmed, as a record."""
-        known = [e for e in self._history if e.frame_index >= (self._confirmed_at or 0)]
-        return Track(self.track_id, self.class_id, tuple(known), self.model.mean)
+        """Every frame in which it was told of, perhaps none, as a record."""
+        return Track(self.track_id, self.class_id, tuple(self._told_of), self.model.mean)
 
     def whole_track(self) -> Track:
-        """Everything since its birth, confirmed or not."""
+        """Everything since its birth, told of or not."""
         return Track(self.track_id, self.class_id, tuple(self._history), self.model.mean)
 
     def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
@@ -155,8 +151,10 @@ class Tracklet:
         self._visible_misses = 0
         agreed = float(self._votes.max() / self._votes.sum())
         self._confidence = self._mean_score * agreed * (1 - 0.25**self._hits)
-        if not self.confirmed and self._confidence >= self._config.min_confidence:
-            self._confirmed_at = frame_index
+        config = self._config
+        self.told = self._confidence >= (
+            config.keep_confidence if self.told else config.min_confidence
+        )
         self._record(frame_index, observed=True)
 
     def _steadied(self, estimate: ObjectEstimate) -> Box:
@@ -170,16 +168,17 @@ class Tracklet:
         return mean_box(self.box, estimate.box, share)
 
     def _record(self, frame_index: int, observed: bool) -> None:
-        self._history.append(
-            TrackedObject(
-                track_id=self.track_id,
-                frame_index=frame_index,
-                class_id=self.class_id,
-                state=self.state,
-                confidence=float(self._confidence),
-                box=self.box,
-                S_world_canonical=self.S_world_canonical,
-                extents_m=self.extents_m,
-                observed=observed,
-            )
+        entry = TrackedObject(
+            track_id=self.track_id,
+            frame_index=frame_index,
+            class_id=self.class_id,
+            state=self.state,
+            confidence=float(self._confidence),
+            box=self.box,
+            S_world_canonical=self.S_world_canonical,
+            extents_m=self.extents_m,
+            observed=observed,
         )
+        self._history.append(entry)
+        if self.told:
+            self._told_of.append(entry)
