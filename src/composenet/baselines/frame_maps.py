@@ -73,6 +73,12 @@ def pyramid(maps: Maps, levels: int) -> list[Maps]:
     return result
 
 
+def pinhole(camera: Camera) -> tuple[int, int, float, float, float, float]:
+    """Height, width, fx, fy, cx, cy: a camera for compiled code."""
+    K = camera.K
+    return camera.height, camera.width, K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+
+
 @numba.njit(cache=True, nogil=True)
 def smoothed(depth: FloatArray) -> NDArray[np.float32]:
     """Bilateral filter of depth (H, W) float32; 0 stays 0."""

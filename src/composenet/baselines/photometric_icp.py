@@ -124,7 +124,8 @@ def photometric_row(point, light, image, fx, fy, cx, cy, row):
 
 
 @numba.njit(cache=True, nogil=True)
-def _add(A, b, row, residual, weight):
+def add_row(A, b, row, residual, weight):
+    """One residual into J^T W J (6, 6) and J^T W r (6,), in place."""
     for i in range(6):
         for j in range(6):
             A[i, j] += weight * row[i] * row[j]
@@ -132,7 +133,8 @@ def _add(A, b, row, residual, weight):
 
 
 @numba.njit(cache=True, nogil=True)
-def _moved(T, vector, shift, out):
+def move_into(T, vector, shift, out):
+    """out (3,) becomes the vector (3,) turned by T (4, 4) and, as far as shift says, moved."""
     for k in range(3):
         out[k] = shift * T[k, 3]
         for j in range(3):
@@ -149,7 +151,7 @@ def _normal_equations(
     point, normal, row = np.empty(3), np.empty(3), np.empty(6)
     pairs = 0
     for i in range(len(points)):
-        _moved(T, points[i], 1.0, point)
+        move_into(T, points[i], 1.0, point)
         if point[2] < 0.1:
             continue
         u = int(np.round(fx * point[0] / point[2] + cx))
@@ -157,7 +159,7 @@ def _normal_equations(
         if not (0 <= u < width and 0 <= v < height) or frame_points[v, u, 2] <= 0:
             continue
         measured, other = frame_points[v, u], frame_normals[v, u]
-        _moved(T, normals[i], 0.0, normal)
+        move_into(T, normals[i], 0.0, normal)
         away, cosine = 0.0, 0.0
         for k in range(3):
             away += (point[k] - measured[k]) ** 2
@@ -165,14 +167,14 @@ def _normal_equations(
         if away <= MAX_DISTANCE_M**2 and cosine > 0 and 1 - cosine * cosine < MAX_SINE**2:
             residual = geometric_row(point, normal, measured, row)
             weight = min(1.0, _HUBER_M / max(abs(residual), 1e-12))
-            _add(A, b, row, residual, weight)
+            add_row(A, b, row, residual, weight)
             pairs += 1
         if abs(point[2] - measured[2]) <= MAX_DEPTH_STEP_M:
             residual = photometric_row(point, light[i], image, fx, fy, cx, cy, row)
             slope = (row[0] / fx) ** 2 + (row[1] / fy) ** 2
             if np.isfinite(residual) and slope * point[2] ** 2 > _MIN_GRADIENT**2:
                 weight = min(1.0, _HUBER_LIGHT / max(abs(residual), 1e-12)) * PHOTOMETRIC_WEIGHT
-                _add(A, b, row, residual, weight)
+                add_row(A, b, row, residual, weight)
     return A, b, pairs
 
 
@@ -183,12 +185,12 @@ def _turning_equations(rays, light, image, T, fx, fy, cx, cy):
     point, row = np.empty(3), np.empty(6)
     total, count = 0.0, 0
     for i in range(len(rays)):
-        _moved(T, rays[i], 0.0, point)
+        move_into(T, rays[i], 0.0, point)
         if point[2] < 0.1:
             continue
         residual = photometric_row(point, light[i], image, fx, fy, cx, cy, row)
         if np.isfinite(residual):
-            _add(A, b, row, residual, 1.0)
+            add_row(A, b, row, residual, 1.0)
             total += residual * residual
             count += 1
     return A, b, total / count if count > len(rays) // 2 else np.inf

@@ -8,6 +8,7 @@ from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_to_frame import FrameToFrame
 from composenet.baselines.mask_fusion import MaskFusion
 from composenet.baselines.mask_rcnn import MaskRcnnMasks, mask_rcnn_weights
+from composenet.baselines.mid_fusion import MidFusion
 from composenet.baselines.records import Row
 from composenet.baselines.true_masks import TrueMasks
 
@@ -23,5 +24,8 @@ ROWS: dict[str, Row] = {
         MaskFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
     "maskfusion": Row(MaskFusion, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
+    "midfusion-gt-masks": Row(
+        MidFusion, AnonymousMasks, told="true masks and classes, no identities"
+    ),
 }
 """By name, in the table's order."""

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.baselines.frame_maps import LUMA, Maps
+from composenet.baselines.frame_maps import LUMA, Maps, pinhole
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import inverse_T
 from composenet.records import Camera, FloatArray
@@ -58,7 +58,7 @@ class SurfelMap:
         """What a camera would see of the stable surfels, as opaque discs."""
         usable = self.confidences >= min_confidence
         index, depth = _splatted(
-            self.positions, self.normals, self.radii, usable, T_camera_body, *_pinhole(camera)
+            self.positions, self.normals, self.radii, usable, T_camera_body, *pinhole(camera)
         )
         drawn = index >= 0
         normals = np.zeros((*index.shape, 3), np.float32)
@@ -78,15 +78,15 @@ class SurfelMap:
     ) -> Self:
         """Average the pixels of the mask into the surfels they show, weighted by confidence;
         the others become new surfels. maps: measured. colors: (H, W, 3) float32 in 0..1."""
-        pinhole = _pinhole(maps.camera)
-        index = _centres(self.positions, T_camera_body, *pinhole)
+        lens = pinhole(maps.camera)
+        index = _centres(self.positions, T_camera_body, *lens)
         usable = mask & maps.valid
         gain = weight * _centredness(maps.camera)
         T_body_camera = inverse_T(T_camera_body)
         new = _merged(
             self.positions, self.normals, self.colors, self.radii, self.confidences, self.seen,
             index, maps.points, maps.normals, colors, usable, gain,
-            T_camera_body, T_body_camera, *pinhole[2:], time,
+            T_camera_body, T_body_camera, *lens[2:], time,
         )  # fmt: skip
         self._append(maps, colors, new, gain, T_body_camera, time)
         return self
@@ -103,10 +103,10 @@ class SurfelMap:
         """Remove what stayed unstable and what stands before a stable surface seen in this very
         frame; doubt what lies in another body's part of the image. depth: (H, W) measured.
         others: (H, W) float32 factor on the confidence of surfels there, 1 in this body's own."""
-        index = _centres(self.positions, T_camera_body, *_pinhole(camera))
+        index = _centres(self.positions, T_camera_body, *pinhole(camera))
         kept = _judged(
             self.positions, self.confidences, self.born, self.seen, index,
-            depth.astype(np.float32), others, T_camera_body, *_pinhole(camera)[2:],
+            depth.astype(np.float32), others, T_camera_body, *pinhole(camera)[2:],
             time, min_confidence,
         )  # fmt: skip
         if not kept.all():
@@ -133,11 +133,6 @@ class SurfelMap:
         stamp = np.full(len(points), time, np.int32)
         self.born = np.concatenate([self.born, stamp])
         self.seen = np.concatenate([self.seen, stamp])
-
-
-def _pinhole(camera: Camera) -> tuple[int, int, float, float, float, float]:
-    K = camera.K
-    return camera.height, camera.width, K[0, 0], K[1, 1], K[0, 2], K[1, 2]
 
 
 def _centredness(camera: Camera) -> NDArray[np.float32]:

@@ -1,0 +1,166 @@
+"""A signed distance field of one rigid body, in blocks of 8^3 voxels found by a hash table.
+
+Curless and Levoy 1996 for the running average; blocks where something was measured as in Niessner
+et al. 2013 ("Real-time 3D reconstruction at scale using voxel hashing"). Beside distance and weight
+a voxel keeps brightness and the share of its frames in which it was the body's own, so that what
+stands beside a mask's rim goes into the field without becoming part of the body (McCormac et al.
+2018, Fusion++).
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from composenet.baselines.frame_maps import Maps, pinhole
+from composenet.baselines.tsdf_raycast import LIGHT, OWN, TSDF, WEIGHT, cast_rays, depth_ranges
+from composenet.baselines.voxel_blocks import SIDE, allocate_along_rays, empty_table, fill_table
+from composenet.geometry.camera import back_project
+from composenet.geometry.transform import inverse_T
+from composenet.records import Camera, FloatArray
+
+MAX_WEIGHT = 100.0
+"""frames that the past weighs at most"""
+MIN_OWN = 0.5
+"""a voxel that was the body's own in no larger share of its frames is not shown"""
+_SURFACE = 0.5  # of the truncation: voxels this near the surface have their place measured
+
+
+class HashedTsdf:
+    """The field, in the body's axes. coords: (N, 3) int32, the blocks. voxels: (N, 512, 4) float32:
+    tsdf, weight in frames, brightness, share of frames in which it was the body's own."""
+
+    def __init__(self, voxel_size_m: float, truncation_m: float) -> None:
+        self.voxel_size_m, self.truncation_m = voxel_size_m, truncation_m
+        self._keys, self._slots = empty_table(1024)
+        self._coords = np.zeros((256, 3), np.int32)
+        self._voxels = np.zeros((256, SIDE**3, 4), np.float32)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def coords(self) -> NDArray[np.int32]:
+        return self._coords[: self._count]
+
+    @property
+    def voxels(self) -> NDArray[np.float32]:
+        return self._voxels[: self._count]
+
+    def integrate(
+        self,
+        depth_m: FloatArray,
+        intensity: FloatArray,
+        own: FloatArray,
+        T_camera_body: FloatArray,
+        camera: Camera,
+    ) -> Self:
+        """Average a frame into it. depth_m, intensity, own: (H, W) float32; own: 1 where a pixel
+        is the body's, 0 where it is not, negative where nothing is to be fused."""
+        depth = np.where(own >= 0, depth_m, 0).astype(np.float32)
+        points = back_project(depth, camera)
+        while not self._allocated(points, inverse_T(T_camera_body)):
+            self._grow()
+        _integrated(
+            self.coords, self.voxels, self.voxel_size_m, self.truncation_m, depth,
+            intensity.astype(np.float32), own.astype(np.float32), T_camera_body, *pinhole(camera),
+        )  # fmt: skip
+        return self
+
+    def raycast(self, T_camera_body: FloatArray, camera: Camera) -> Maps:
+        """What a camera would see of the body: its surface, from outside."""
+        block_m = SIDE * self.voxel_size_m
+        near, far = depth_ranges(self.coords, block_m, T_camera_body, *pinhole(camera))
+        points, normals, light, own = cast_rays(
+            self._keys, self._slots, self._voxels, self.voxel_size_m, self.truncation_m,
+            near, far, inverse_T(T_camera_body), *pinhole(camera),
+        )  # fmt: skip
+        hidden = own <= MIN_OWN
+        points[hidden], normals[hidden], light[hidden] = 0, 0, np.nan
+        return Maps(points, normals, light, camera)
+
+    def surface(self) -> NDArray[np.float64]:
+        """(P, 3) centres of the body's own voxels near its surface, metres, body axes."""
+        near = np.abs(self.voxels[..., TSDF]) < min(_SURFACE, self.voxel_size_m / self.truncation_m)
+        kept = near & (self.voxels[..., WEIGHT] > 0) & (self.voxels[..., OWN] > MIN_OWN)
+        block, inner = np.nonzero(kept)
+        offsets = np.stack(np.unravel_index(inner, (SIDE,) * 3), axis=-1)
+        return np.asarray(
+            (self.coords[block] * SIDE + offsets + 0.5) * self.voxel_size_m, np.float64
+        )
+
+    def _allocated(self, points: NDArray[np.float32], T_body_camera: FloatArray) -> bool:
+        """Make blocks along the rays through the points; False where the table filled up."""
+        self._count, done = allocate_along_rays(
+            self._keys, self._slots, self._coords, self._count, points,
+            T_body_camera, self.voxel_size_m, self.truncation_m,
+        )  # fmt: skip
+        return bool(done)
+
+    def _grow(self) -> None:
+        """Twice as many blocks, in a table twice as large."""
+        self._coords = np.concatenate([self._coords, np.zeros_like(self._coords)])
+        self._voxels = np.concatenate([self._voxels, np.zeros_like(self._voxels)])
+        self._keys, self._slots = empty_table(2 * len(self._keys))
+        fill_table(self._keys, self._slots, self.coords)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _integrated(
+    coords, voxels, voxel_m, truncation_m, depth, light, own, T, height, width, fx, fy, cx, cy
+):
+    """Average the frame into the blocks in view, in place. T: T_camera_body."""
+    block_m, p, corner = SIDE * voxel_m, np.empty(3), np.empty(3)
+    radius = block_m * np.sqrt(3.0) / 2
+    for n in range(len(coords)):
+        for k in range(3):
+            corner[k] = T[k, 3]
+            for j in range(3):
+                corner[k] += T[k, j] * coords[n, j] * block_m
+        if not _in_view(corner, T, block_m, radius, height, width, fx, fy, cx, cy):
+            continue
+        for inner in range(SIDE**3):
+            a, b, c = inner // SIDE**2, inner // SIDE % SIDE, inner % SIDE
+            for k in range(3):
+                p[k] = corner[k] + voxel_m * (
+                    T[k, 0] * (a + 0.5) + T[k, 1] * (b + 0.5) + T[k, 2] * (c + 0.5)
+                )
+            if p[2] < 0.1:
+                continue
+            x, y = p[0] / p[2], p[1] / p[2]
+            u, v = int(np.floor(fx * x + cx + 0.5)), int(np.floor(fy * y + cy + 0.5))
+            if not (0 <= u < width and 0 <= v < height) or depth[v, u] <= 0:
+                continue
+            distance = (depth[v, u] - p[2]) * np.sqrt(1 + x * x + y * y)
+            if distance <= -truncation_m:
+                continue
+            voxel = voxels[n, inner]
+            share = 1 / (voxel[WEIGHT] + 1)
+            voxel[TSDF] += share * (min(1.0, distance / truncation_m) - voxel[TSDF])
+            voxel[LIGHT] += share * (light[v, u] - voxel[LIGHT])
+            voxel[OWN] += share * (own[v, u] - voxel[OWN])
+            voxel[WEIGHT] = min(voxel[WEIGHT] + 1, MAX_WEIGHT)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _in_view(corner, T, block_m, radius, height, width, fx, fy, cx, cy):
+    """Whether some of a block's sphere projects into the image."""
+    x = corner[0] + (T[0, 0] + T[0, 1] + T[0, 2]) * block_m / 2
+    y = corner[1] + (T[1, 0] + T[1, 1] + T[1, 2]) * block_m / 2
+    z = corner[2] + (T[2, 0] + T[2, 1] + T[2, 2]) * block_m / 2
+    if z < -radius:
+        return False
+    near = max(z - radius, 0.1)
+    if z - radius < 0.1:
+        return True
+    u, v, reach_u, reach_v = (
+        fx * x / z + cx,
+        fy * y / z + cy,
+        fx * radius / near,
+        fy * radius / near,
+    )
+    return -reach_u < u < width + reach_u and -reach_v < v < height + reach_v
