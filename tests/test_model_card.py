@@ -59,6 +59,6 @@ def test_calibration_belongs_to_its_weights(results: Path) -> None:
 
 
 def test_what_stands_outside_the_marks_is_kept() -> None:
-    again = refreshed(f"# A\n\n{BEGIN}\nlast time\n{END}\n\nB\n", default_weights(), Path("nowhere"))
+    again = refreshed(f"# A\n\n{BEGIN}\nlast time\n{END}\n\nB\n", default_weights(), Path("none"))
     assert again.startswith(f"# A\n\n{BEGIN}\n") and again.endswith(f"{END}\n\nB\n")
     assert "last time" not in again

@@ -85,7 +85,7 @@ def score_objects(
 ) -> ObjectScores:
     """Scores of every frame's posed detections. All arguments have one entry a frame; with
     `frames`, surface errors are split into seen and unseen."""
-    volumes = _TruthVolumes()
+    volumes = TruthVolumes()
     parts: list[list[ClassOutcomes]] = [[] for _ in CLASS_NAMES]
     matched: list[MatchedObject] = []
     for index, (present, found) in enumerate(zip(truths, estimates, strict=True)):
@@ -110,7 +110,7 @@ def join_outcomes(parts: Sequence[ClassOutcomes]) -> ClassOutcomes:
     return ClassOutcomes(**{n: concatenate([getattr(part, n) for part in parts]) for n in names})
 
 
-class _TruthVolumes:
+class TruthVolumes:
     """Volumes of true objects, made when first needed and kept while an object rests."""
 
     def __init__(self) -> None:

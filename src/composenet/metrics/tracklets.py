@@ -9,8 +9,9 @@ import numpy as np
 
 from composenet.geometry.box import OrientedBox
 from composenet.metrics.clear import correspondences
-from composenet.metrics.completion import OCCUPIED, volume_iou, voxelize, voxelize_truth
-from composenet.metrics.evaluate import tracking_frames
+from composenet.metrics.completion import OCCUPIED, volume_iou, voxelize
+from composenet.metrics.evaluate import posed_truths, tracking_frames
+from composenet.metrics.objects import TruthVolumes
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.records import FloatArray, SequenceTruth, TrackedObject
 
@@ -38,12 +39,12 @@ def tracklet_completions(
     of 2.5 cm.
     """
     frames = tracking_frames(truth, tracked)
-    objects = {item.gt_id: item for item in truth.objects}
+    true_volume = TruthVolumes()
     values: dict[tuple[int, int], list[float]] = {}
-    for frame, matches, entries, placed in zip(
-        frames, correspondences(frames, MATCH_GATE_M), tracked, truth.frames, strict=True
+    for frame, matches, entries, present in zip(
+        frames, correspondences(frames, MATCH_GATE_M), tracked, posed_truths(truth), strict=True
     ):
-        poses = {item.gt_id: item.T_world_object for item in placed}
+        posed = {item.truth.gt_id: item for item in present}
         similarities = {entry.track_id: entry.S_world_canonical for entry in entries}
         pairs = zip(frame.track_ids[matches.columns], frame.gt_ids[matches.rows], strict=True)
         for track_id, gt_id in ((int(track), int(gt)) for track, gt in pairs):
@@ -52,8 +53,8 @@ def tracklet_completions(
             S = similarities[track_id]
             box = OrientedBox(S.t, S.R, np.full(3, S.scale_m, dtype=np.float64))
             found = voxelize(canonical[track_id] >= OCCUPIED, box)
-            true = voxelize_truth(objects[gt_id], poses[gt_id])
-            values.setdefault((track_id, gt_id), []).append(volume_iou(true, found))
+            overlap = volume_iou(true_volume(posed[gt_id]), found)
+            values.setdefault((track_id, gt_id), []).append(overlap)
     return tuple(
         TrackletCompletion(*pair, len(ious), float(np.mean(ious)))
         for pair, ious in sorted(values.items())
