@@ -98,8 +98,9 @@ def score_sequence(
     results = {frame.index: tracker(frame) for frame in frames}
     seconds = [sum(result.timings_ms.values()) / 1e3 for result in results.values()]
     tracked = {index: result.objects for index, result in results.items()}
+    tracks = tracker.tracks()
     if offline:
-        histories = [entry for track in tracker.tracks() for entry in track.history]
+        histories = [entry for track in tracks for entry in track.history]
         tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
     truth = moved_truth(read_truth(folder), sequence.T_level_source)
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
@@ -111,7 +112,7 @@ def score_sequence(
         [results[i].estimates if i in results else () for i in every],
         frames=[shown.get(i, blank) for i in every],
         seconds_per_frame=seconds,
-        canonical={track.track_id: track.canonical for track in tracker.tracks()},
+        canonical={track.track_id: track.canonical for track in tracks},
     )
 
 
