@@ -71,9 +71,13 @@ class DetectionConfig:
     """[paper]"""
     mean_shift_radius_voxels: Positive = 5.0
     """the paper's 8 merges neighbours; the second look drops what 5 splits"""
+    further_radii_voxels: tuple[Positive, ...] = (3.0, 8.0)
+    """clusters of these radii are proposals too, and the second look chooses; (): only those of the
+    one radius [paper]"""
     min_cluster_voxels: Count = 20
     """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
     max_proposals: Count = 30
+    """of each radius"""
     min_score: Share = 0.3
     """a box of less quality is dropped"""
     duplicate_iou: Share = 0.25

@@ -24,7 +24,7 @@ BOX_LIMITS_M = (0.15, 5.0)
 
 @dataclass(frozen=True)
 class Proposals:
-    """Boxes found in one frame, grid frame, strongest first.
+    """Boxes found in one frame, grid frame; those of one radius strongest first.
 
     center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) of `propose`
     the mean objectness of the cluster, of `second_look` the quality. voxels: (M,) how
@@ -88,7 +88,7 @@ def _distinct(clash: Tensor) -> Tensor:
 def propose(
     fields: VoxelFields, batch: VolumeBatch, config: DetectionConfig
 ) -> tuple[Proposals, ...]:
-    """Proposals of every frame of the batch."""
+    """Proposals of every frame of the batch, those of each radius for themselves."""
     votes = batch.coords[:, 1:].to(fields.center_offset.dtype) + fields.center_offset
     objectness = torch.sigmoid(fields.objectness)
     out = []
@@ -111,24 +111,32 @@ def _propose_frame(
     if len(votes) < config.min_cluster_voxels:
         empty = votes.new_zeros
         return Proposals(empty(0, 3), empty(0, 3), empty(0, n_classes), empty(0), empty(0))
-    modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
-    probabilities = fields.class_logits[rows].softmax(dim=1)
     values = torch.cat(
         [
             votes.new_ones(len(votes), 1),
             weight[:, None],
             votes,
             fields.extents[rows],
-            probabilities,
+            fields.class_logits[rows].softmax(dim=1),
         ],
         dim=1,
     )
+    radii = (config.mean_shift_radius_voxels, *config.further_radii_voxels)
+    found = [_clusters(votes, values, radius, voxel_size_m, config) for radius in radii]
+    return sum(found[1:], start=found[0])
+
+
+def _clusters(
+    votes: Tensor, values: Tensor, radius: float, voxel_size_m: float, config: DetectionConfig
+) -> Proposals:
+    """Means over the clusters of one radius. values: (P, 8 + n_classes) one, objectness, vote,
+    extents and class probabilities of each voting voxel."""
+    modes, member = mean_shift(votes, radius, config.mean_shift_steps)
     sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
     count = sums[:, 0]
     mean = sums / count.clamp_min(1)[:, None]
-    keep = torch.nonzero((count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score))[
-        :, 0
-    ]
+    large = (count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score)
+    keep = torch.nonzero(large)[:, 0]
     order = keep[torch.argsort(mean[keep, 1], descending=True, stable=True)]
     order = order[: config.max_proposals]
     return Proposals(
