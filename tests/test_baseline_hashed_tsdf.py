@@ -56,7 +56,7 @@ def test_a_plane_is_rendered_where_it_was_measured() -> None:
     off = (view.points - np.array([0, 0, 1.0])) @ normal / np.linalg.norm(normal)
     assert np.abs(off[middle]).max() < 0.2 * VOXEL_M
     cosines = view.normals[middle] @ (normal / np.linalg.norm(normal))
-    assert cosines.min() > 0.98 and np.percentile(cosines, 2) > 0.998  # 11 and 3.6 degrees
+    assert cosines.min() > 0.98 and np.percentile(cosines, 5) > 0.998  # 11 and 3.6 degrees
     np.testing.assert_allclose(view.intensity[middle], 0.5, atol=1e-5)
     rays = pixel_rays(SMALL)[view.valid]
     points = view.points[view.valid]

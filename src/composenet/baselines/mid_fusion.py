@@ -21,7 +21,8 @@ Deviations, all in its favour where they matter to the scores:
 - voxels are 5 to 10 mm, 20 for the background (1.25 to 2.5 mm for objects; 5 to 20): a pixel of
   furniture is a centimetre wide; depth ends at 6 m (4 m);
 - disparity is known to an eighth of a pixel of an image 640 wide (one pixel, which makes 20 cm of
-  depth mean nothing at furniture's distance; the others are for a desk);
+  depth mean nothing at furniture's distance; the others are for a desk); so an object of which
+  nothing agrees with rest is tracked too (it is given up);
 - a mask takes one model and a model one mask, of greatest total overlap (the first that fits; masks
   of one class are merged), and may be larger than its model to any degree (by half, where one holds
   the other); what is left over is fused nowhere (into the background);
@@ -61,8 +62,8 @@ from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, FloatArray, Frame, TrackedObject
 from composenet.tracking.assignment import assign
 
-AT_REST, GONE = 0.9, 0.05
-"""an object moves where a smaller share of its pixels agrees with rest, but more than the second"""
+AT_REST = 0.9
+"""an object moves where a smaller share of its pixels agrees with rest"""
 PIECE_SHARE = 0.8
 """of a piece's pixels, that a mask must cover to be given the rest of it"""
 OVERLAP = 0.5
@@ -116,7 +117,7 @@ class MidFusion:
         moving = [
             number
             for number in range(1, len(views))
-            if GONE < share_at_rest(known, view.shown == number, levels[0], T_now_guess) < AT_REST
+            if share_at_rest(known, view.shown == number, levels[0], T_now_guess) < AT_REST
         ]
         if self._estimates_camera and moving:
             still = anything & ~np.isin(view.shown, moving)
