@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from composenet.baselines import mask_rcnn
+from composenet.baselines import mask_rcnn, torchvision_ops
 from composenet.baselines.mask_rcnn import MaskRcnnMasks, distinct, mask_rcnn_weights
 from composenet.baselines.records import InstanceMasks
 from composenet.baselines.torchvision_ops import import_torchvision
@@ -24,6 +24,7 @@ except WeightsError as error:
 
 import train_mask_rcnn
 
+from composenet.baselines import mask_rcnn_data
 from composenet.baselines.mask_rcnn_data import FrameStream, make_sample, samples_of_scene
 from composenet.baselines.mask_rcnn_network import (
     MaskRcnnConfig,
@@ -34,6 +35,12 @@ from composenet.baselines.mask_rcnn_network import (
     save_network,
 )
 from composenet.baselines.mask_rcnn_training import Trainer, TrainingOptions, learning_rate, train
+
+
+@pytest.fixture(autouse=True)
+def few_frames_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mask_rcnn_data, "POOL_FRAMES", 4)
+
 
 TINY = MaskRcnnConfig((8, 8, 16, 16), pyramid_channels=8, box_channels=16, image_size=(96, 72))
 SCENES = SceneOptions(frames=3, image_size=(96, 72))
@@ -196,6 +203,6 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     (tmp_path / "weights").mkdir()
     (tmp_path / "weights" / mask_rcnn.NAME).touch()
     assert mask_rcnn_weights().parent == tmp_path / "weights"
-    monkeypatch.setattr(mask_rcnn.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(torchvision_ops.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(WeightsError, match=r"torchvision.*composenet\[baselines\]"):
         mask_rcnn_weights()

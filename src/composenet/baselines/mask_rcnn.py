@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -37,10 +36,9 @@ def mask_rcnn_weights() -> Path:
             f"--out runs/mask_rcnn --max-minutes 60, then copy runs/mask_rcnn/{NAME} there "
             "(needs `pip install composenet[baselines]`)"
         )
-    if importlib.util.find_spec("torchvision") is None:
-        raise WeightsError(
-            "Mask R-CNN needs torchvision: install it with `pip install composenet[baselines]`"
-        )
+    from composenet.baselines.torchvision_ops import import_torchvision
+
+    import_torchvision()
     return path
 
 

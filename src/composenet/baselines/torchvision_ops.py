@@ -21,7 +21,10 @@ from torch.nn.functional import grid_sample
 
 from composenet.errors import WeightsError
 
-INSTALL = "install it with `pip install composenet[baselines]`"
+INSTALL = (
+    "install it with `pip install composenet[baselines]`, or, to keep your torch as it is, "
+    "`pip install --no-deps torchvision`"
+)
 _SCHEMAS = (
     "nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
     "qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
