@@ -125,7 +125,8 @@ def _weighted_equations(
     points, normals, light, frame_points, frame_normals, image, T,
     scale, fx, fy, cx, cy,
 ):  # fmt: skip
-    """J^T W J, J^T W r, the mean cost and the pairs of points that entered."""
+    """J^T W J, J^T W r, the mean cost and the pairs of points that entered. A point that is of no
+    pair costs as much as one just within reach, lest finding more pairs seem a loss."""
     A, b = np.zeros((6, 6)), np.zeros(6)
     point, normal, row = np.empty(3), np.empty(3), np.empty(6)
     cost, terms, pairs = 0.0, 0, 0
@@ -135,14 +136,16 @@ def _weighted_equations(
         v, u, kind = _paired(point, normal, frame_points, frame_normals, fx, fy, cx, cy)
         if kind < 0:
             continue
-        if kind == 2:
-            residual = geometric_row(point, normal, frame_points[v, u], row)
+        if kind > 0:
             sigma = _deviation(normal, frame_points[v, u, 2], scale, fx)
-            ratio = residual / sigma
-            add_row(A, b, row, residual, 1 / (sigma**2 * (1 + (ratio / _CAUCHY) ** 2)))
+            ratio = MAX_DISTANCE_M / sigma
+            if kind == 2:
+                residual = geometric_row(point, normal, frame_points[v, u], row)
+                ratio = residual / sigma
+                add_row(A, b, row, residual, 1 / (sigma**2 * (1 + (ratio / _CAUCHY) ** 2)))
+                pairs += 1
             cost += _cauchy(ratio)
             terms += 1
-            pairs += 1
         if kind == 0 or abs(point[2] - frame_points[v, u, 2]) <= MAX_DISTANCE_M:
             residual = photometric_row(point, light[i], image, fx, fy, cx, cy, row)
             if np.isfinite(residual):
