@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from composenet.baselines.records import Cameras
 from composenet.commands import bench, jobs
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import VARIANTS, ScoredSequence
-from composenet.errors import DataError
+from composenet.errors import DataError, WeightsError
 from composenet.metrics.clear import ClearScores
 from composenet.metrics.evaluate import SequenceScores
 from composenet.metrics.hota import hota_scores
@@ -196,6 +197,29 @@ def test_our_variants_stand_in_the_same_table(
     assert f"Camera poses: {camera.value}" in text and "## Where each system fails" in text
     assert all((page.parent / link).is_file() for link in re.findall(r"\]\((.*)\)", text))
     assert not (tmp_path / "out" / "results.md").exists()
+
+
+def test_rows_without_their_weights_are_left_out_of_all(
+    run, capsys, three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Named one by one, they are an error before anything has run."""
+
+    def missing() -> Path:
+        raise WeightsError("nowhere.safetensors: no weights; make them")
+
+    rows = {"f2f-gt": registry.ROWS["f2f-gt"]}
+    rows["untaught"] = replace(rows["f2f-gt"], weights=missing)
+    monkeypatch.setattr(bench, "ROWS", rows)
+    monkeypatch.setattr(bench, "METHODS", tuple(rows))
+    monkeypatch.setattr(jobs, "worker_pool", Here)
+    one = tmp_path / "data"
+    shutil.copytree(three / "val_00000", one / "val_00000")
+    common = ["--data", one, "--out", tmp_path / "out", "--methods"]
+    assert run(*common, "all") == 0
+    assert "without untaught: nowhere.safetensors: no weights" in capsys.readouterr().out
+    assert list(numbers(tmp_path / "out")) == ["f2f-gt"]
+    assert run(*common, "f2f-gt,untaught") == 2
+    assert "nowhere.safetensors: no weights" in capsys.readouterr().err
 
 
 def test_the_rows_and_their_order() -> None:

@@ -196,8 +196,9 @@ class Bench:
     out: Path
     """folder for results.json and results.md (with pictures); finished sequences are kept there"""
     methods: str = "all"
-    """all, or comma-separated: f2f-gt, maskfusion-gt-masks, no-corr-no-compl,
-    no-corr, no-compl, full"""
+    """all (whose weights there are), or comma-separated: f2f-gt, f2f-mask-rcnn,
+    maskfusion-gt-masks, maskfusion, midfusion-gt-masks, midfusion, no-corr-no-compl, no-corr,
+    no-compl, full"""
     camera: CameraPoses = "given"
     """camera poses: the recording's, or each method's own but for the first frame"""
     weights: Path | None = None

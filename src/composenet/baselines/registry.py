@@ -27,5 +27,6 @@ ROWS: dict[str, Row] = {
     "midfusion-gt-masks": Row(
         MidFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
+    "midfusion": Row(MidFusion, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
 }
 """By name, in the table's order."""

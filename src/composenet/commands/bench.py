@@ -28,7 +28,7 @@ from composenet.commands.scoring import (
     sequence_folders,
     tall_table,
 )
-from composenet.errors import DataError
+from composenet.errors import DataError, WeightsError
 from composenet.metrics.report import RunInfo, sections, write_results
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
@@ -64,10 +64,11 @@ def run_bench(
     folders = sequence_folders(data)
     out.mkdir(parents=True, exist_ok=True)
     asked = _checked(names, Asked(camera, weights, device))
+    made_of = _weights_by_row(names, asked, "all" in methods, console)
+    names = list(made_of)
     outcomes: dict[Job, Outcome] = {}
-    for name in names:
-        made_of = _weights_of(name, asked)
-        cache = ScoreCache(out / "sequences", made_of or Path(os.devnull), camera, device)
+    for name, file in made_of.items():
+        cache = ScoreCache(out / "sequences", file or Path(os.devnull), camera, device)
         work = partial(score_method, asked=asked)
         jobs = [(name, folder) for folder in folders]
         outcomes |= run_jobs(jobs, work, cache, workers, console)
@@ -128,6 +129,22 @@ def _checked(names: Sequence[str], asked: Asked) -> Asked:
     weights = asked.weights or default_weights()
     load_tracker(weights, device=asked.device)
     return Asked(asked.cameras, weights, asked.device)
+
+
+def _weights_by_row(
+    names: Sequence[str], asked: Asked, lenient: bool, console: Console
+) -> dict[str, Path | None]:
+    """See `_weights_of`. lenient: a row whose weights are not to be had is left out, and said so,
+    instead of WeightsError."""
+    found = {}
+    for name in names:
+        try:
+            found[name] = _weights_of(name, asked)
+        except WeightsError as error:
+            if not lenient:
+                raise
+            console.print(f"without {name}: {error}", highlight=False, soft_wrap=True)
+    return found
 
 
 def _weights_of(name: str, asked: Asked) -> Path | None:
