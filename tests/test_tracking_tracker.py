@@ -238,7 +238,7 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
     ],
 )
 def test_a_track_is_told_of_while_it_is_sure(scores, told):
-    """From a confidence of 0.6 on, until it is less than 0.5; in hindsight in all frames or none."""
+    """From a confidence of 0.6 on, until it is under 0.5; in hindsight in all frames or none."""
     tracker, outputs = run([(None, [thing(3, 0, score=s)]) for s in scores], TrackingConfig())
     assert [index for index, out in enumerate(outputs) if out] == told
     assert [[e.frame_index for e in t.history] for t in tracker.tracks()] == [told] * bool(told)
