@@ -21,6 +21,8 @@ from composenet.records import Box, FloatArray, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
 CANONICAL_CELLS = 64
+COMPLETED_SHARE = 0.25
+"""How much the completed geometry's box counts against the detector's."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
-    The box is the mean of the detector's and the completed geometry's.
+    The box lies between the detector's and the completed geometry's (`COMPLETED_SHARE`).
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl."), and the box is the detector's.
     """
@@ -119,8 +121,8 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     if config.tracking.use_completion:  # two estimates of one box, whose errors differ
         reach = np.abs(_numpy(crop.R_grid_crop[0])) @ cell_m / 2
         first, last = points_grid.min(axis=0) - reach, points_grid.max(axis=0) + reach
-        center = (center + (first + last) / 2) / 2
-        extents = (extents + last - first) / 2
+        center += COMPLETED_SHARE * ((first + last) / 2 - center)
+        extents += COMPLETED_SHARE * (last - first - extents)
     box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
     similarity = _similarity(i, found.fit, box, R_world_grid, low)
     points_world = points_grid @ R_world_grid.T + low
