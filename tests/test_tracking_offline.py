@@ -151,7 +151,7 @@ def test_hindsight_keeps_what_was_sure_on_the_whole():
         entries = zip(one.history, confidences, strict=True)
         return replace(one, history=tuple(replace(e, confidence=c) for e, c in entries))
 
-    vague = sure(track(1, "TTT", y=-1.0), 0.9, 0.5, 0.3)
+    vague = sure(track(1, "TTT", y=-1.0), 0.9, 0.4, 0.3)
     late = sure(track(2, "TTL", y=1.0), 0.4, 0.85, 0.3)  # unseen in the last frame
     kept = look_back([vague, late], CONFIG)
     assert [one.track_id for one in kept] == [2]

@@ -104,7 +104,7 @@ class TrackingConfig:
     """a weaker proposal may continue a track but starts none"""
     min_confidence: Share = 0.6
     """a track is told of from the frame on in which its confidence reaches this"""
-    keep_confidence: Share = 0.5
+    keep_confidence: Share = 0.55
     """until it is seen with less confidence than this"""
     duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""

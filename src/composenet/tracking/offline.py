@@ -20,9 +20,9 @@ from composenet.tracking.tracklet import mean_box, stands_still
 
 def look_back(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track, ...]:
     """Tracks from their birth on -> linked, settled, and only those whose mean confidence, where
-    they were seen, reaches config.min_confidence; from their first frame on; by id."""
+    they were seen, reaches config.keep_confidence; from their first frame on; by id."""
     linked = link_offline(tracks, config)
-    sure = [track for track in linked if _mean_confidence(track) >= config.min_confidence]
+    sure = [track for track in linked if _mean_confidence(track) >= config.keep_confidence]
     return tuple(settle(track, config) for track in sure)
 
 

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 SMALLEST_DIAGONAL_M = 0.3
 """Noise of the centres does not shrink with objects smaller than this."""
 
+FIRST_LOOK = 0.75
+"""What a track's first detection counts."""
+
 
 def stands_still(old: Box, new: Box, still_share: float) -> bool:
     """Whether the centre moved by at most still_share of the new box's horizontal diagonal."""
@@ -54,10 +57,9 @@ class Tracklet:
     It is told of from the frame on in which its confidence reaches config.min_confidence, until
     it is seen with less than config.keep_confidence; then once more when it reaches the former.
 
-    Confidence: while seen, the running mean of the scores (weighted as the canonical model)
-    times the share of its class in the votes so far, times (1 - 0.25 ** hits), so that one
-    detection counts three quarters; while unseen, it decays by a factor a frame, faster when
-    lost than when occluded; 0 at the end.
+    Confidence: at birth three quarters of the score; when seen again, the mean of the last
+    confidence and the score; while unseen, it decays by a factor a frame, faster when lost than
+    when occluded; 0 at the end.
     """
 
     def __init__(
@@ -68,9 +70,7 @@ class Tracklet:
         self.model = CanonicalModel(estimate.canonical.astype(np.float32))
         self.state = TrackState.TRACKED
         self._votes = np.zeros(len(CLASS_NAMES))
-        self._hits = 0
-        self._mean_score = estimate.score
-        self._confidence = 0.0
+        self._confidence = FIRST_LOOK * estimate.score
         self.told = False
         self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
@@ -100,9 +100,8 @@ class Tracklet:
         """The frame shows it as `estimate`."""
         absent = self.state in (TrackState.OCCLUDED, TrackState.LOST)
         self.state = TrackState.RE_FOUND if absent else TrackState.TRACKED
-        weight = self._config.running_mean_weight
-        self._mean_score = (weight * self._mean_score + estimate.score) / (weight + 1)
-        self._update_shape(estimate, weight)
+        self._confidence = (self._confidence + estimate.score) / 2
+        self._update_shape(estimate, self._config.running_mean_weight)
         self._see(frame_index, estimate)
 
     def miss(self, frame_index: int, view: Visibility) -> None:
@@ -147,10 +146,7 @@ class Tracklet:
         self.S_world_canonical = Similarity(S.scale_m, S.R, S.t + shift)
         self.last_seen = frame_index
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
-        self._hits += 1
         self._visible_misses = 0
-        agreed = float(self._votes.max() / self._votes.sum())
-        self._confidence = self._mean_score * agreed * (1 - 0.25**self._hits)
         config = self._config
         self.told = self._confidence >= (
             config.keep_confidence if self.told else config.min_confidence
