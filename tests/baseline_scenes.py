@@ -20,6 +20,8 @@ CABINET, CHAIR = CLASS_NAMES.index("cabinet"), CLASS_NAMES.index("chair")
 CAMERA = Camera(
     K=np.array([[280.0, 0, 159.5], [0, 280.0, 119.5], [0, 0, 1]]), width=320, height=240
 )
+SMALL = Camera(K=np.array([[80.0, 0, 39.5], [0, 80.0, 29.5], [0, 0, 1]]), width=80, height=60)
+REST = np.eye(4)
 ROOM = OrientedBox(np.array([1.0, 0, 1.4]), rotation_z(0.1), np.array([8.0, 7.0, 2.8]))
 _C, _S = np.cos(0.25), np.sin(0.25)
 AHEAD = np.array([[0.0, -_S, _C], [-1, 0, 0], [0, -_C, -_S]])

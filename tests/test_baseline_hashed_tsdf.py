@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baseline_scenes import REST, SMALL
 from composenet.baselines.hashed_tsdf import MAX_WEIGHT, HashedTsdf
 from composenet.baselines.tsdf_raycast import LIGHT, OWN, TSDF, WEIGHT
 from composenet.baselines.voxel_blocks import (
@@ -18,10 +19,7 @@ from composenet.baselines.voxel_blocks import (
 )
 from composenet.geometry.camera import back_project, pixel_rays
 from composenet.geometry.transform import inverse_T, make_T, rotation_z
-from composenet.records import Camera
 
-SMALL = Camera(K=np.array([[80.0, 0, 39.5], [0, 80.0, 29.5], [0, 0, 1]]), width=80, height=60)
-REST = np.eye(4)
 VOXEL_M, TRUNCATION_M = 0.02, 0.08
 GREY = np.full((60, 80), 0.5, np.float32)
 ALL = np.ones((60, 80), np.float32)

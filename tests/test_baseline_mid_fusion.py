@@ -9,6 +9,8 @@ import numpy as np
 from baseline_scenes import (
     CABINET,
     CHAIR,
+    REST,
+    SMALL,
     Seen,
     cabinet,
     camera_pose,
@@ -27,10 +29,8 @@ from composenet.baselines.weighted_icp import align_weighted, share_at_rest
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import back_project, pixel_rays
 from composenet.geometry.transform import angle_between_deg, apply_T, inverse_T, make_T, rotation_z
-from composenet.records import Camera, TrackedObject, TrackState
+from composenet.records import TrackedObject, TrackState
 
-SMALL = Camera(K=np.array([[80.0, 0, 39.5], [0, 80.0, 29.5], [0, 0, 1]]), width=80, height=60)
-REST = np.eye(4)
 EVERYWHERE = np.ones((60, 80), bool)
 
 

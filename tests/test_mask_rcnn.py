@@ -34,7 +34,7 @@ from composenet.baselines.mask_rcnn_network import (
     make_network,
     save_network,
 )
-from composenet.baselines.mask_rcnn_training import Trainer, TrainingOptions, learning_rate, train
+from composenet.baselines.mask_rcnn_training import Trainer, TrainingOptions, train
 
 
 @pytest.fixture(autouse=True)
@@ -138,13 +138,6 @@ def test_one_frame_is_learned(tmp_path: Path) -> None:
     batch = next(iter(FrameStream(1, 0, 0, SCENES)))
     totals = [trainer.step(batch, 3e-3)["total"] for _ in range(20)]
     assert np.isfinite(totals).all() and np.mean(totals[-3:]) < 0.75 * np.mean(totals[:3])
-
-
-def test_the_rate() -> None:
-    assert learning_rate(1.0, 0, 0.0) < 0.01
-    assert learning_rate(1.0, 1000, 0.3) == 1.0
-    assert learning_rate(1.0, 1000, 0.75) == pytest.approx(0.5)
-    assert learning_rate(1.0, 1000, 1.0) == pytest.approx(0.01)
 
 
 def test_weights_come_back_and_others_are_refused(weights: Path, tmp_path: Path) -> None:

@@ -200,7 +200,7 @@ def test_a_resumed_run_sees_new_scenes(
     drawn = Drawn(monkeypatch)
     each = -(-steps // workers)
     used = set.union(*[drawn.batches(each, 0, w, workers) for w in range(workers)])
-    monkeypatch.setattr(loop, "DataLoader", lambda *_, **__: itertools.repeat(None))
+    monkeypatch.setattr(loop, "batches_of", lambda *_: itertools.repeat(None))
     trainer = Trainer(replace(TrainingConfig(), model=TINY), options(tmp_path), ALONE)
     next(loop._batches(trainer, options(tmp_path, workers=workers), SceneSource()))
     trainer.progress.scenes += steps * loop._scenes_per_step(trainer.config, 1)

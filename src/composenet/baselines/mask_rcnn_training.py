@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -12,7 +11,6 @@ from typing import Any
 import torch
 from rich.console import Console
 from torch import nn
-from torch.utils.data import DataLoader
 
 from composenet.baselines.mask_rcnn import NAME
 from composenet.baselines.mask_rcnn_data import (
@@ -26,8 +24,9 @@ from composenet.config import from_dict, to_dict
 from composenet.errors import WeightsError
 from composenet.pipeline import select_device
 from composenet.synth.scene import SceneOptions
-from composenet.training.checkpoint import Progress
-from composenet.training.processes import StopRequest, leave_signals_to_parent
+from composenet.training.checkpoint import Progress, read_state, write_state
+from composenet.training.processes import PREFETCHED, StopRequest, batches_of
+from composenet.training.schedule import scheduled_rate
 
 FORMAT = "composenet.mask_rcnn_checkpoint/1"
 WARMUP_STEPS = 150
@@ -36,8 +35,6 @@ DECAY_SHARE = 0.5
 WEIGHT_DECAY = 1e-4
 GRADIENT_CLIP = 5.0
 SAY_EVERY_S, SAVE_EVERY_S = 20.0, 300.0
-PREFETCHED = 4
-"""batches that a worker makes ahead"""
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,6 @@ class Trainer:
 
     def save(self) -> Path:
         """Checkpoint and weights, each written atomically."""
-        partial = self.checkpoint_path.with_name("checkpoint.pt.partial")
         state = {
             "format": FORMAT,
             "config": to_dict(self.config),
@@ -103,15 +99,8 @@ class Trainer:
             "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
-        torch.save(state, partial)
-        os.replace(partial, self.checkpoint_path)
-        notes = {
-            "steps": self.progress.step,
-            "frames": self.progress.frames,
-            "training_minutes": round(self.progress.seconds / 60, 1),
-            "device": self.device.type,
-            "seed": self.options.seed,
-        }
+        write_state(self.checkpoint_path, state)
+        notes = self.progress.notes(self.device, self.options.seed)
         path = self.options.out / NAME
         save_network(self.network, self.config, path, notes)
         return path
@@ -126,14 +115,7 @@ class Trainer:
             )
         if not self.options.resume:
             return None
-        try:
-            stored = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:
-            reason = str(error).strip().splitlines()[0][:200]
-            raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
-        if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-            raise WeightsError(f"{path}: not a {FORMAT} file; name another --out")
-        return stored
+        return read_state(path, FORMAT, {"config", "progress", "network", "optimizer"})
 
 
 def train(config: MaskRcnnConfig, options: TrainingOptions, scenes: SceneOptions) -> Path:
@@ -166,7 +148,9 @@ def _run(
             break
         batch = next(batches)
         waited = time.monotonic() - now
-        rate = learning_rate(options.learning_rate, progress.step, share)
+        rate = scheduled_rate(
+            options.learning_rate, WARMUP_STEPS, DECAY_SHARE, progress.step, share
+        )
         values = trainer.step(batch, rate)
         progress.scenes += -(-len(batch) // FRAMES_PER_SCENE)
         progress.seconds = seconds_before + time.monotonic() - start
@@ -177,12 +161,6 @@ def _run(
             saved = time.monotonic()
 
 
-def learning_rate(peak: float, steps_done: int, run_share: float) -> float:
-    """Warm-up over the first steps of all, constant, then linear to zero at the run's end."""
-    warm = min(1.0, (steps_done + 1) / WARMUP_STEPS)
-    return peak * warm * min(1.0, max(0.01, (1 - run_share) / DECAY_SHARE))
-
-
 def _batches(trainer: Trainer, scenes: SceneOptions) -> Iterator[list[MaskSample]]:
     """Batches from the workers. Counts the scenes that those draw ahead, so that a resumed run
     never draws one twice."""
@@ -190,14 +168,7 @@ def _batches(trainer: Trainer, scenes: SceneOptions) -> Iterator[list[MaskSample
     stream = FrameStream(options.batch_frames, progress.scenes, options.seed, scenes)
     ahead = POOL_FRAMES + (1 + PREFETCHED) * options.batch_frames
     progress.scenes += -(-ahead // FRAMES_PER_SCENE) * max(1, options.workers)
-    loader = DataLoader(
-        stream,
-        batch_size=None,
-        num_workers=options.workers,
-        prefetch_factor=PREFETCHED if options.workers else None,
-        worker_init_fn=leave_signals_to_parent,
-    )
-    return iter(loader)
+    return iter(batches_of(stream, options.workers))
 
 
 class Log:

@@ -25,6 +25,37 @@ class Progress:
     scenes: int = 0
     seconds: float = 0.0
 
+    def notes(self, device: torch.device, seed: int) -> dict[str, Any]:
+        """What a weights file says of the run that made it."""
+        return {
+            "steps": self.step,
+            "frames": self.frames,
+            "training_minutes": round(self.seconds / 60, 1),
+            "device": device.type,
+            "seed": seed,
+        }
+
+
+def write_state(path: Path, state: dict[str, Any]) -> None:
+    """Write atomically: a crash leaves the previous file whole."""
+    partial = path.with_name(path.name + ".partial")
+    torch.save(state, partial)
+    os.replace(partial, path)
+
+
+def read_state(path: Path, form: str, keys: set[str]) -> dict[str, Any]:
+    """What `write_state` wrote, with "format" form and all the keys. Raises WeightsError."""
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0][:200]
+        raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
+    if not isinstance(state, dict) or state.get("format") != form:
+        raise WeightsError(f"{path}: not a {form} file; delete it or name another --out")
+    if missing := keys - set(state):
+        raise WeightsError(f"{path}: the checkpoint lacks {min(missing)!r}; delete it")
+    return state
+
 
 def save_checkpoint(
     path: Path,
@@ -34,34 +65,21 @@ def save_checkpoint(
     average: dict[str, Any],
     optimizer: dict[str, Any],
 ) -> None:
-    """Write atomically: a crash leaves the previous file whole."""
-    partial = path.with_name(path.name + ".partial")
-    torch.save(
-        {
-            "format": FORMAT,
-            "config": to_dict(config),
-            "progress": dataclasses.asdict(progress),
-            "model": model,
-            "average": average,
-            "optimizer": optimizer,
-        },
-        partial,
-    )
-    os.replace(partial, path)
+    """Write atomically."""
+    state = {
+        "format": FORMAT,
+        "config": to_dict(config),
+        "progress": dataclasses.asdict(progress),
+        "model": model,
+        "average": average,
+        "optimizer": optimizer,
+    }
+    write_state(path, state)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """The checkpoint with config and progress as records. Raises WeightsError."""
-    try:
-        data = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        reason = str(error).strip().splitlines()[0][:200]
-        raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise WeightsError(f"{path}: not a {FORMAT} file; delete it or name another --out")
-    missing = {"config", "progress", "model", "average", "optimizer"} - set(data)
-    if missing:
-        raise WeightsError(f"{path}: the checkpoint lacks {min(missing)!r}; delete it")
+    data = read_state(path, FORMAT, {"config", "progress", "model", "average", "optimizer"})
     data["config"] = from_dict(data["config"], TrainingConfig)
     data["progress"] = Progress(**data["progress"])
     return data

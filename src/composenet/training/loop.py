@@ -14,7 +14,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
-from torch.utils.data import DataLoader
 
 from composenet.errors import ComposenetError, DataError, WeightsError
 from composenet.network.model import ComposeNet
@@ -23,13 +22,11 @@ from composenet.training.checkpoint import Progress, load_checkpoint, save_check
 from composenet.training.config import TrainingConfig
 from composenet.training.data import POOL_BATCHES, SceneSource, SceneStream, fixed_batches
 from composenet.training.log import StepLog
-from composenet.training.processes import Group, StopRequest, leave_signals_to_parent
+from composenet.training.processes import PREFETCHED, Group, StopRequest, batches_of
+from composenet.training.schedule import scheduled_rate
 from composenet.training.step import LossModule, weighted_sum
 from composenet.training.targets import TrainingBatch
 from composenet.training.validation import validate
-
-PREFETCHED = 4
-"""Batches that a worker makes ahead."""
 
 
 @dataclass(frozen=True)
@@ -116,13 +113,7 @@ class Trainer:
             self.average.state_dict(),
             self.optimizer.state_dict(),
         )
-        notes = {
-            "steps": self.progress.step,
-            "frames": self.progress.frames,
-            "training_minutes": round(self.progress.seconds / 60, 1),
-            "device": str(self.group.device.type),
-            "seed": self.config.seed,
-        }
+        notes = self.progress.notes(self.group.device, self.config.seed)
         path = self.options.out / "weights.safetensors"
         save_weights(self.averaged_network, self.config.model, path, notes)
 
@@ -159,11 +150,10 @@ def _fitting(path: Path) -> Iterator[None]:
 
 
 def learning_rate(config: TrainingConfig, steps_done: int, run_share: float) -> float:
-    """Warm-up over the first steps of all, constant, then linear to zero at the run's end."""
-    rate = config.learning_rate * min(1.0, (steps_done + 1) / config.rate_warmup_steps)
-    if config.decay_share > 0:
-        rate *= min(1.0, max(0.01, (1 - run_share) / config.decay_share))
-    return rate
+    """The rate of one step (see `scheduled_rate`)."""
+    return scheduled_rate(
+        config.learning_rate, config.rate_warmup_steps, config.decay_share, steps_done, run_share
+    )
 
 
 def train(config: TrainingConfig, options: RunOptions, source: SceneSource) -> Path:
@@ -229,13 +219,7 @@ def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iter
     """Batches from the workers. Counts the scenes that those draw before the first step."""
     config, group, progress = trainer.config, trainer.group, trainer.progress
     stream = SceneStream(source, config, progress.scenes, group.rank, group.size)
-    loader = DataLoader(
-        stream,
-        batch_size=None,
-        num_workers=options.workers,
-        prefetch_factor=PREFETCHED if options.workers else None,
-        worker_init_fn=leave_signals_to_parent,
-    )
+    loader = batches_of(stream, options.workers)
     ahead = (POOL_BATCHES + PREFETCHED) * _scenes_per_step(config, group.size)
     progress.scenes += ahead * max(1, options.workers)
     try:

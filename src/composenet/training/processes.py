@@ -6,12 +6,16 @@ import os
 import signal
 import time
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch.distributed import ReduceOp, all_reduce, destroy_process_group, init_process_group
+from torch.utils.data import DataLoader, IterableDataset
 
 from composenet.pipeline import select_device
+
+PREFETCHED = 4
+"""Batches that a worker makes ahead."""
 
 
 @dataclass(frozen=True)
@@ -77,3 +81,14 @@ class StopRequest:
 def leave_signals_to_parent(_worker: int) -> None:
     """In a worker: ctrl-C reaches the whole process group, but the parent decides."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def batches_of(stream: IterableDataset[Any], workers: int) -> DataLoader[Any]:
+    """The batches of a stream, made in worker processes (0: in this one)."""
+    return DataLoader(
+        stream,
+        batch_size=None,
+        num_workers=workers,
+        prefetch_factor=PREFETCHED if workers else None,
+        worker_init_fn=leave_signals_to_parent,
+    )

@@ -51,7 +51,7 @@ class LossModule(nn.Module):
             fields = self.network.voxel_fields(batch.volume)
             proposals: tuple[Proposals, ...] = ()
             if learns_boxes:
-                proposals = self._proposals(fields, batch)
+                proposals = self._proposals(fields, batch, generator)
             boxes = training_boxes(batch, proposals, generator)
             corrected = self.network.box_fields(
                 fields, batch.volume, boxes.center, boxes.extents, boxes.frame
@@ -79,11 +79,19 @@ class LossModule(nn.Module):
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
         return losses | more, errors
 
-    def _proposals(self, fields: VoxelFields, batch: TrainingBatch) -> tuple[Proposals, ...]:
-        """What the detector finds, and what the second look makes of it: in tracking that is where
-        it looks again (see `detection.remembered`)."""
+    def _proposals(
+        self, fields: VoxelFields, batch: TrainingBatch, generator: torch.Generator
+    ) -> tuple[Proposals, ...]:
+        """What the detector finds with one of its radii (those of all are too alike to be worth
+        their time), and what the second look makes of it: in tracking that is where it looks
+        again (see `detection.remembered`)."""
         detection = self.config.model.detection
-        found = propose(fields, batch.volume, detection)
+        radii = (detection.mean_shift_radius_voxels, *detection.further_radii_voxels)
+        radius = radii[int(torch.randint(len(radii), (), generator=generator))]
+        one = dataclasses.replace(
+            detection, mean_shift_radius_voxels=radius, further_radii_voxels=()
+        )
+        found = propose(fields, batch.volume, one)
         if not detection.use_tracks:
             return found
         again = second_look(self.network, fields, batch.volume, found, detection)
