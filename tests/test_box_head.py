@@ -64,7 +64,7 @@ def look(
     frame: Tensor = FRAME,
     extents: Tensor = EXTENTS,
 ) -> BoxFields:
-    return net(fields, batch, center.double(), extents.double(), frame)
+    return net(fields, batch, center.double(), extents.double(), frame, 0.15)
 
 
 def total(found: BoxFields) -> Tensor:
@@ -169,7 +169,7 @@ def test_boxes_of_one_frame_do_not_see_voxels_of_another() -> None:
     found = look(head(), fields, batch)
     own = batch.coords[:, 0] == 1
     alone = VoxelFields(*(value[own] for value in vars(fields).values()))
-    only = replace(batch, coords=batch.coords[own])
+    only = replace(batch, coords=batch.coords[own], remembered=batch.remembered[own])
     second = FRAME == 1
     some = look(head(), alone, only, CENTER[second], FRAME[second], EXTENTS[second])
     assert_equal(BoxFields(*(value[second] for value in vars(found).values())), some)
@@ -228,3 +228,20 @@ def test_gradients_against_finite_differences() -> None:
 
     inputs = (fields.features, fields.objectness, fields.class_logits)
     assert torch.autograd.gradcheck(numbers, tuple(v.requires_grad_(True) for v in inputs))
+
+
+def test_a_view_into_the_box_and_one_that_ends_before_it_are_told_apart() -> None:
+    """Cameras that look along x with a focal length of 2 pixels: free, hidden, or out of view."""
+    fields, batch = scene()
+    T_camera_grid = torch.zeros(2, 4, 4).double()
+    for row, column, sign in ((0, 1, -1.0), (1, 2, -1.0), (2, 0, 1.0), (3, 3, 1.0)):
+        T_camera_grid[:, row, column] = sign
+    T_camera_grid[:, 0, 3], T_camera_grid[:, 1, 3] = 1.0, 1.0
+    K = torch.tensor([[2.0, 0, 1.5], [0, 2.0, 1.5], [0, 0, 1]]).double().expand(2, 3, 3)
+    found = [
+        look(head(), fields, replace(batch, K=K, T_camera_grid=T_camera_grid, depth_m=depth))
+        for depth in (torch.full((2, 4, 4), z).double() for z in (9.0, 0.2, 0.0))
+    ]
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        gap = (found[one].quality - found[other].quality)[:3].abs()
+        assert gap.min() > 1e-4

@@ -12,6 +12,7 @@ from sklearn.cluster import MeanShift
 
 from composenet.config import DetectionConfig
 from composenet.detection import (
+    ALIKE_IOU,
     BOX_LIMITS_M,
     Proposals,
     mean_shift,
@@ -212,7 +213,6 @@ class Looker:
 
     def __init__(self, frames: Sequence[Sequence[Seen]]) -> None:
         self.frames = frames
-        self.extents: list[torch.Tensor] = []
 
     def box_fields(
         self,
@@ -222,8 +222,8 @@ class Looker:
         extents: torch.Tensor,
         frame: torch.Tensor,
     ) -> BoxFields:
-        seen = [self.frames[index][row] for row, index in enumerate(frame.tolist())]
-        self.extents.append(extents)
+        places = zip(frame.tolist(), center[:, 0].tolist(), strict=True)
+        seen = [min(self.frames[index], key=lambda s: abs(s.x - x)) for index, x in places]
         move = torch.tensor([[s.move, 0, 0] for s in seen]).reshape(-1, 3)
         classes = torch.tensor([s.class_id for s in seen], dtype=torch.long)
         return BoxFields(
@@ -297,21 +297,36 @@ def test_what_was_dropped_drops_nothing() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_duplicates_against_a_slow_loop(seed: int) -> None:
+    """Of those alike before the look the first stays, of those that overlap after it the best."""
     rng = np.random.default_rng(seed)
     seen = [
         Seen(*rng.uniform((0, 0.3, 0.3), (8, 1, 1)).tolist(), int(rng.integers(10)))
         for _ in range(15)
     ]
+
+    def apart(one: Seen, others: Sequence[Seen], limit: float) -> bool:
+        cube, *cubes = (Box(np.array([s.x, 0, 0]), np.ones(3)) for s in (one, *others))
+        return all(iou(cube, other) <= limit for other in cubes)
+
+    looked_at: list[Seen] = []
     kept: list[Seen] = []
-    for one in sorted(seen, key=lambda s: -s.quality):
-        cube = Box(np.array([one.x, 0, 0]), np.ones(3))
-        others = [Box(np.array([s.x, 0, 0]), np.ones(3)) for s in kept]
-        if all(iou(cube, other) <= 0.5 for other in others):
-            kept.append(one)
+    for one in seen:
+        looked_at += [one] * apart(one, looked_at, ALIKE_IOU)
+    for one in sorted(looked_at, key=lambda s: -s.quality):
+        kept += [one] * apart(one, kept, 0.5)
     (found,) = looked([seen], HALF)
     np.testing.assert_allclose(found.center[:, 0], [s.x for s in kept], rtol=1e-6)
     assert found.class_probabilities.argmax(dim=1).tolist() == [s.class_id for s in kept]
     assert 1 < len(kept) < 15
+
+
+def test_boxes_nearly_alike_are_looked_at_once() -> None:
+    """The first of them; corrected, they would be told apart."""
+    one, other = Seen(0, 0.7, 0.7, 4, move=-1), Seen(0.05, 0.9, 0.9, 8, move=1)  # IoU 0.905
+    (found,) = looked([[one, other]])
+    assert found.center[:, 0].tolist() == [-1] and found.voxels.tolist() == [50]
+    (found,) = looked([[one, replace(other, x=0.06)]])  # IoU 0.887
+    assert len(found.center) == 2
 
 
 def test_a_second_look_at_each_frame_for_itself() -> None:

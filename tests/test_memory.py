@@ -11,7 +11,7 @@ import torch
 from composenet.config import VolumeConfig
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.network.batch import CropBatch, collate
-from composenet.network.object_net import crop_inputs
+from composenet.network.crop_inputs import crop_inputs
 from composenet.records import Box, Frame, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.targets import UNKNOWN, forget_moved
 from composenet.volume.memory import SurfaceMemory

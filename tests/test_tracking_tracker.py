@@ -241,7 +241,8 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
 def test_a_track_is_told_of_while_it_is_sure(scores, told, in_hindsight):
     """From a confidence of 0.6 on, until it is under 0.55; in hindsight in all frames or none, as
     its mean confidence is over 0.55 or not."""
-    tracker, outputs = run([(None, [thing(3, 0, score=s)]) for s in scores], TrackingConfig())
+    config = TrackingConfig(min_confidence=0.6, keep_confidence=0.55)
+    tracker, outputs = run([(None, [thing(3, 0, score=s)]) for s in scores], config)
     assert [index for index, out in enumerate(outputs) if out] == told
     assert [[e.frame_index for e in t.history] for t in tracker.tracks()] == [told] * bool(told)
     whole = [[e.frame_index for e in t.history] for t in tracker.hindsight()]

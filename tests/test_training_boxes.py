@@ -17,7 +17,7 @@ from composenet.geometry.aligned_boxes import paired_iou
 from composenet.geometry.box import iou
 from composenet.network.box_head import BoxFields
 from composenet.records import Box
-from composenet.training.losses import box_losses
+from composenet.training.losses import RIGHT_M, box_losses
 from composenet.training.proposals import (
     POSITIVE_IOU,
     TrainingBoxes,
@@ -176,12 +176,15 @@ def test_a_perfect_correction_costs_nothing_but_quality() -> None:
     assert box_losses(sure, batch, boxes)["quality"].item() == pytest.approx(0, abs=1e-5)
 
 
-def test_the_cost_of_a_box_by_hand() -> None:
-    """Moved by 0.1 of its side: IoU 0.9 / 1.1. Sides 1.2 times as long: IoU 1 / 1.2^3."""
+@pytest.mark.parametrize(("side", "share"), [(0.4, 0.1), (0.6, 0.1), (1.8, 0.3)])
+def test_the_cost_of_a_box_by_hand(side: float, share: float) -> None:
+    """Moved by 0.1 of its side: IoU 0.9 / 1.1; the gap counts by NEAR_M where the side is longer.
+    Sides 1.2 times as long: IoU 1 / 1.2^3."""
     batch = one_object()
+    batch.extents[:, 0] = side
     boxes = matched(batch, [0.2])
     moved = corrected(batch, boxes, [0.1])
-    expected = 0.1 + 1 - 0.9 / 1.1
+    expected = share + 1 - 0.9 / 1.1
     assert box_losses(moved, batch, boxes)["box"].item() == pytest.approx(expected, rel=1e-4)
     grown = replace(corrected(batch, boxes, [0.0]), extents=1.2 * batch.extents)
     expected = 3 * np.log(1.2) + 1 - 1.2**-3
@@ -189,11 +192,16 @@ def test_the_cost_of_a_box_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("overlap", "quality"), [(0.05, 0), (0.1, 0), (0.35, 0.5), (0.6, 1), (1, 1)]
+    ("overlap", "shared"), [(0.05, 0), (0.1, 0), (0.35, 0.5), (0.6, 1), (1, 1)]
 )
-def test_the_quality_that_is_taught(overlap: float, quality: float) -> None:
-    """Read off the gradient of the cross-entropy, which is the sigmoid less what is taught."""
+@pytest.mark.parametrize("side", [0.2, 0.9, 2.4])
+def test_the_quality_that_is_taught(overlap: float, shared: float, side: float) -> None:
+    """Half overlap, half place, read off the gradient of the cross-entropy, which is the sigmoid
+    less what is taught."""
     batch = one_object()
+    batch.extents[:, 0] = side
+    near = side * (1 - overlap) / (1 + overlap) < RIGHT_M
+    quality = (shared + near) / 2
     boxes = matched(batch, [0.2])
     fields = corrected(batch, boxes, [(1 - overlap) / (1 + overlap)])
     box_losses(fields, batch, boxes)["quality"].backward()

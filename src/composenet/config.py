@@ -102,9 +102,9 @@ class TrackingConfig:
     """a weaker proposal is left out of tracking"""
     min_birth_score: Share = 0.5
     """a weaker proposal may continue a track but starts none"""
-    min_confidence: Share = 0.6
+    min_confidence: Share = 0.65
     """a track is told of from the frame on in which its confidence reaches this"""
-    keep_confidence: Share = 0.55
+    keep_confidence: Share = 0.6
     """until it is seen with less confidence than this"""
     duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""
@@ -114,7 +114,7 @@ class TrackingConfig:
     """added to that way: noise of the centres"""
     max_reach_m: Positive = 1.2
     """no canonical match is farther from the last place, however long ago it was"""
-    still_share: Share = 0.15
+    still_share: Share = 0.1
     """a centre that moves by less than this share of its box's horizontal diagonal stands still,
     and its boxes are averaged"""
     steady_weight: Positive = 3.0

@@ -20,6 +20,8 @@ from composenet.volume.voxels import Volume
 
 BOX_LIMITS_M = (0.15, 5.0)
 """Boxes are taken to be no smaller and no larger than furniture."""
+ALIKE_IOU = 0.9
+"""Of proposals that overlap more than this only the first is looked at."""
 
 
 @dataclass(frozen=True)
@@ -181,17 +183,21 @@ def second_look(
 ) -> tuple[Proposals, ...]:
     """Proposals with corrected boxes and classes, strongest first.
 
-    mirror: the mirror image of the batch, to be looked at too. score becomes the quality; of two
+    mirror: the mirror image of the batch, to be looked at too. Of proposals nearly alike
+    (`ALIKE_IOU`) the first is looked at. score becomes the quality; of two
     boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
     classes: solid furniture cannot share that much space.
     """
     out = []
     for index, p in enumerate(proposals):
-        frame = torch.full((len(p.center),), index, device=p.center.device)
         extents = p.extents.clamp(*BOX_LIMITS_M)
-        boxes = network.box_fields(fields, batch, p.center, extents, frame)
+        first = _distinct(pairwise_iou(p.center, extents, p.center, extents) > ALIKE_IOU)
+        first = first.to(extents.device)
+        seed, extents, voxels = p.center[first], extents[first], p.voxels[first]
+        frame = torch.full((len(seed),), index, device=seed.device)
+        boxes = network.box_fields(fields, batch, seed, extents, frame)
         if mirror is not None:
-            boxes = mean_boxes(boxes, mirror.box_fields(network, p.center, extents, frame))
+            boxes = mean_boxes(boxes, mirror.box_fields(network, seed, extents, frame))
         score = boxes.quality.sigmoid()
         order = torch.argsort(score, descending=True, stable=True)
         order = order[score[order] >= config.min_score]
@@ -204,7 +210,7 @@ def second_look(
                 extents=boxes.extents[order],
                 class_probabilities=boxes.class_logits[order].softmax(dim=1),
                 score=score[order],
-                voxels=p.voxels[order],
+                voxels=voxels[order],
             )
         )
     return tuple(out)

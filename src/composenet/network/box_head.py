@@ -1,7 +1,9 @@
 """Second look at a box: its class, its quality and a better box.
 
-A small PointNet (Qi et al. 2017) over the surface voxels in and around the box. The paper stops at
-the clusters' means; a look at all voxels of a box at once corrects boxes that hug the visible part.
+A small PointNet (Qi et al. 2017) over the surface voxels in and around the box, and a small dense
+network over the space there, which tells where an object ends from where its view ends. The paper
+stops at the clusters' means; a look at all voxels of a box at once corrects boxes that hug the
+visible part.
 """
 
 from __future__ import annotations
@@ -13,10 +15,13 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
+from composenet.network.crop_inputs import crop_inputs
 from composenet.network.detection_head import VoxelFields
 
 CONTEXT = 1.5
 """The head looks at the voxels of the box grown by this factor."""
+SPACE_CELLS = 8
+"""Cells a side of the space that is looked at."""
 MAX_GROWTH = 1.1
 """Sides change at most by exp of this, up and down."""
 
@@ -62,8 +67,17 @@ class BoxHead(nn.Module):
         self.point = nn.Sequential(
             nn.LayerNorm(64), nn.ReLU(), nn.Linear(64, 128), nn.LayerNorm(128), nn.ReLU()
         )
+        self.space = nn.Sequential(
+            nn.Conv3d(3, 16, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv3d(16, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(32 * (SPACE_CELLS // 2) ** 3, 64),
+            nn.ReLU(),
+        )
         self.box = nn.Sequential(
-            nn.Linear(2 * 128 + 5 + n_classes, 128), nn.ReLU(), nn.Linear(128, 7 + n_classes)
+            nn.Linear(2 * 128 + 5 + n_classes + 64, 128), nn.ReLU(), nn.Linear(128, 7 + n_classes)
         )
         nn.init.zeros_(cast(nn.Linear, self.box[2]).weight)  # at first the box as it is
 
@@ -74,6 +88,7 @@ class BoxHead(nn.Module):
         center: Tensor,
         extents: Tensor,
         frame: Tensor,
+        truncation_m: float,
     ) -> BoxFields:
         """center, extents: (M, 3) metres, grid frame. frame: (M,) int64."""
         around = CropBatch(frame, center, CONTEXT * extents, torch.zeros_like(center[:, 0]))
@@ -91,7 +106,8 @@ class BoxHead(nn.Module):
         above = center[:, 2:] - batch.floor_z[frame][:, None]
         count = torch.bincount(box, minlength=len(frame)).to(center.dtype)[:, None]
         n_classes = fields.class_logits.shape[1]
-        summary = [pooled, votes[:, n_classes:], extents.log(), above, (1 + count).log() / 5]
+        space = self.space(crop_inputs(batch, around, SPACE_CELLS, truncation_m)[0])
+        summary = [pooled, votes[:, n_classes:], extents.log(), above, (1 + count).log() / 5, space]
         out = self.box(torch.cat(summary, dim=1))
         return BoxFields(
             center=center + extents * out[:, :3],

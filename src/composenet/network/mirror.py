@@ -24,8 +24,9 @@ _SIDEWAYS = [FEATURE_NAMES.index(name) for name in ("offset_y", "normal_y", "vie
 class Mirror:
     """The mirror image of a batch across its grid's y axis, with its voxel fields.
 
-    batch: the same rows with y turned round (only voxels are mirrored: depth_m, K and
-    T_camera_grid stay those of the scene). width_m: y of a point and of its image add up to this.
+    batch: the same rows with y turned round; its T_camera_grid leads from the image's points to
+    where the scene's camera sees them (so it is no rotation), depth_m and K stay. width_m: y of a
+    point and of its image add up to this.
     """
 
     batch: VolumeBatch
@@ -39,8 +40,12 @@ class Mirror:
         last = int(coords[:, 2].max())
         coords[:, 2] = last - coords[:, 2]
         features[:, _SIDEWAYS] *= -1
-        image = replace(batch, coords=coords, features=features)
-        return Mirror(image, network.voxel_fields(image), last * batch.voxel_size_m)
+        width_m = last * batch.voxel_size_m
+        T_grid_image = torch.diag(batch.T_camera_grid.new_tensor([1.0, -1.0, 1.0, 1.0]))
+        T_grid_image[1, 3] = width_m
+        T_camera_image = batch.T_camera_grid @ T_grid_image
+        image = replace(batch, coords=coords, features=features, T_camera_grid=T_camera_image)
+        return Mirror(image, network.voxel_fields(image), width_m)
 
     def agreed(self, fields: VoxelFields) -> tuple[VoxelFields, Mirror]:
         """Fields of the scene and of its image, each with its own features and with what both

@@ -47,7 +47,8 @@ class ComposeNet(nn.Module):
         frame: Tensor,
     ) -> BoxFields:
         """A second look at boxes. center, extents: (M, 3) metres, grid frame. frame: (M,) int64."""
-        return self.boxes(fields, batch, center, extents, frame)
+        truncation_m = self.volume_config.truncation_m
+        return self.boxes(fields, batch, center, extents, frame, truncation_m)
 
     def object_fields(
         self,

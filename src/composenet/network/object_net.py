@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import voxels_inside
+from composenet.network.crop_inputs import crop_inputs
 from composenet.network.detection_head import VoxelFields
-from composenet.volume.tsdf import projective_tsdf
 
 HEADING_BINS = 12
 """Yaw of an object's front in the grid frame; bin k is centred at k * 30 degrees. Divisible by 2
@@ -57,43 +57,6 @@ def scatter_features(features: Tensor, relative: Tensor, inside: Tensor, cells: 
     count = features.new_zeros(n_slots, 1).index_add(0, slot, ones)
     mean = sums / count.clamp_min(1)
     return mean.view(-1, cells, cells, cells, features.shape[1]).permute(0, 4, 1, 2, 3)
-
-
-def crop_inputs(
-    batch: VolumeBatch, crops: CropBatch, cells: int, truncation_m: float
-) -> tuple[Tensor, Tensor]:
-    """Field samples (M, 3, cells^3 as a cube): tsdf, observed, and surface that earlier frames
-    saw; and the mask of all surface, seen or remembered."""
-    points = crops.points(cells)
-    tsdf, observed = projective_tsdf(
-        points,
-        batch.depth_m[crops.frame],
-        batch.K[crops.frame],
-        batch.T_camera_grid[crops.frame],
-        truncation_m,
-    )
-    reach = crops.size.amax(dim=1, keepdim=True) / cells / truncation_m
-    remembered = _remembered_at(batch, crops.frame, points)
-    surface = (observed & (tsdf.abs() < reach.clamp(max=0.99))) | remembered
-    cube = (-1, 1, cells, cells, cells)
-    channels = [channel.to(tsdf.dtype).view(cube) for channel in (tsdf, observed, remembered)]
-    return torch.cat(channels, dim=1), surface.view(-1, cells, cells, cells)
-
-
-def _remembered_at(batch: VolumeBatch, frame: Tensor, points: Tensor) -> Tensor:
-    """(M, P) bool: the point lies in a remembered voxel. points: (M, P, 3), grid frame."""
-    rows = batch.coords[batch.remembered]
-    if not len(rows):
-        return torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
-    sides = rows[:, 1:].amax(dim=0) + 1
-    x, y, z = sides.tolist()
-    filled = torch.zeros(batch.size * x * y * z, dtype=torch.bool, device=points.device)
-    filled[((rows[:, 0] * x + rows[:, 1]) * y + rows[:, 2]) * z + rows[:, 3]] = True
-    cell = (points / batch.voxel_size_m).round().long()
-    inside = ((cell >= 0) & (cell < sides)).all(dim=-1)
-    cell = torch.where(inside[..., None], cell, torch.zeros_like(cell))
-    slot = ((frame[:, None] * x + cell[..., 0]) * y + cell[..., 1]) * z + cell[..., 2]
-    return filled[slot] & inside
 
 
 def _position_channels(batch: VolumeBatch, crops: CropBatch, cells: int) -> Tensor:

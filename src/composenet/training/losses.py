@@ -71,10 +71,19 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     }
 
 
-def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) -> dict[str, Tensor]:
-    """Box (places and sizes as shares of the true ones, and IoU), quality and class.
+NEAR_M = 0.6
+"""Large furniture must be placed as well as what is this large."""
+RIGHT_M = 0.25
+"""An object whose centre is nearer than this is found."""
 
-    The quality that is taught rises from 0 to 1 as the corrected box's IoU does from 0.1 to 0.6.
+
+def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) -> dict[str, Tensor]:
+    """Box (places as shares of the true sides, of NEAR_M where those are longer, sizes as shares of
+    the true ones, and IoU), quality and class.
+
+    The quality that is taught is half overlap, half place: the one rises from 0 to 1 as the
+    corrected box's IoU does from 0.1 to 0.6, the other is 1 where the centre is right (within
+    RIGHT_M).
     """
     keep = boxes.positive
     rows = boxes.rows[keep]
@@ -82,20 +91,18 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
     touching = boxes.iou > 0
     if touching.any():
         own = boxes.rows[touching]
-        now = paired_iou(
-            fields.center[touching].detach(),
-            fields.extents[touching].detach(),
-            batch.center[own],
-            batch.extents[own],
-        )
-        quality[touching] = ((now - 0.1) / 0.5).clamp(0, 1)
+        center, extents = fields.center[touching].detach(), fields.extents[touching].detach()
+        overlap = paired_iou(center, extents, batch.center[own], batch.extents[own])
+        right = (center - batch.center[own]).norm(dim=1) < RIGHT_M
+        quality[touching] = (((overlap - 0.1) / 0.5).clamp(0, 1) + right) / 2
     losses = {name: 0 * fields.class_logits.sum() for name in ("box", "box_class")}
     if keep.any():
         center, extents = fields.center[keep], fields.extents[keep]
         true_center, true_extents = batch.center[rows], batch.extents[rows]
         iou = paired_iou(center, extents, true_center, true_extents)
-        gap = (center - true_center).abs() / true_extents + (extents / true_extents).log().abs()
-        losses["box"] = (gap.sum(dim=1) + 1 - iou).mean()
+        away = (center - true_center).abs() / true_extents.clamp(max=NEAR_M)
+        grown = (extents / true_extents).log().abs()
+        losses["box"] = ((away + grown).sum(dim=1) + 1 - iou).mean()
         losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     losses["quality"] = F.binary_cross_entropy_with_logits(fields.quality, quality)
     return losses
