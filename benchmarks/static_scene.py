@@ -24,8 +24,10 @@ from composenet.records import CLASS_NAMES, TrackedObject
 @dataclass(frozen=True)
 class Stillness:
     """One track. drift_cm: median; start_to_end_cm: between the medians of the first and last
-    quarter of its frames; span_cm: largest distance between two of its centres, which shows a
-    track that slid from one object to the next; upright_deg: median angle between its up axis and
+    quarter of its frames; side_start_cm, side_end_cm: longest horizontal side of its box, medians
+    of these quarters: a box that grows as its object comes into view moves its centre, too;
+    span_cm: largest distance between two of its centres, which shows a track that slid from one
+    object to the next; upright_deg: median angle between its up axis and
     the world's."""
 
     track_id: int
@@ -33,6 +35,8 @@ class Stillness:
     frames_seen: int
     drift_cm: float
     start_to_end_cm: float
+    side_start_cm: float
+    side_end_cm: float
     span_cm: float
     upright_deg: float
 
@@ -43,6 +47,7 @@ def stillness(track_id: int, class_id: int, seen: list[TrackedObject]) -> Stilln
     away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
     quarter = max(1, len(seen) // 4)
     ends = np.median(centers[:quarter], axis=0) - np.median(centers[-quarter:], axis=0)
+    sides = [100 * float(entry.box.extents[:2].max()) for entry in seen]
     tilt = [np.degrees(np.arccos(np.clip(e.S_world_canonical.R[2, 2], -1, 1))) for e in seen]
     return Stillness(
         track_id,
@@ -50,6 +55,8 @@ def stillness(track_id: int, class_id: int, seen: list[TrackedObject]) -> Stilln
         len(seen),
         float(100 * np.median(away)),
         float(100 * np.linalg.norm(ends)),
+        float(np.median(sides[:quarter])),
+        float(np.median(sides[-quarter:])),
         float(100 * np.linalg.norm(centers[:, None] - centers[None], axis=-1).max()),
         float(np.median(tilt)),
     )
@@ -70,13 +77,14 @@ def main(
         print(
             f"track {row.track_id:3d} {row.class_name:10s} seen {row.frames_seen:4d}  "
             f"drift {row.drift_cm:5.1f} cm  start to end {row.start_to_end_cm:5.1f} cm  "
-            f"span {row.span_cm:5.1f} cm  "
-            f"tilt {row.upright_deg:4.1f} deg"
+            f"side {row.side_start_cm:4.0f} to {row.side_end_cm:4.0f} cm  "
+            f"span {row.span_cm:5.1f} cm  tilt {row.upright_deg:4.1f} deg"
         )
     median = float(np.median([row.drift_cm for row in rows])) if rows else None
     print(f"{len(rows)} tracks seen in {min_frames} or more frames; median drift: {median} cm")
     if out is not None:
-        info = asdict(RunInfo(run.sequence, 0, f"benchmarks/static_scene.py, {min_frames}"))
+        command = f"benchmarks/static_scene.py {result} --min-frames {min_frames}"
+        info = asdict(RunInfo(run.sequence, 0, command, run.weights_id, run.commit))
         tracks = [asdict(row) for row in rows]
         data = info | {"median_drift_cm": median, "tracks": tracks}
         out.write_text(json.dumps(data, indent=2) + "\n")

@@ -15,9 +15,10 @@ from torch import Tensor
 from composenet.detection import BOX_LIMITS_M, Proposals
 from composenet.geometry.aligned_boxes import paired_iou
 from composenet.geometry.box import iou
+from composenet.metrics.records import MATCH_GATE_M
 from composenet.network.box_head import BoxFields
 from composenet.records import Box
-from composenet.training.losses import RIGHT_M, box_losses
+from composenet.training.losses import box_losses
 from composenet.training.proposals import (
     POSITIVE_IOU,
     TrainingBoxes,
@@ -200,7 +201,7 @@ def test_the_quality_that_is_taught(overlap: float, shared: float, side: float) 
     less what is taught."""
     batch = one_object()
     batch.extents[:, 0] = side
-    near = side * (1 - overlap) / (1 + overlap) < RIGHT_M
+    near = side * (1 - overlap) / (1 + overlap) < MATCH_GATE_M
     quality = (shared + near) / 2
     boxes = matched(batch, [0.2])
     fields = corrected(batch, boxes, [(1 - overlap) / (1 + overlap)])

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from composenet.detection import Proposals
+from composenet.training import step
 from composenet.training.loop import Trainer
 from composenet.training.losses import OBJECT_LOSSES
 from training_cases import ALONE, CONFIG, batch_of, options
@@ -78,3 +80,24 @@ def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, par
     values = [trainer.step(batch, 1e-2) for _ in range(2)]
     assert all(np.isfinite(list(v.values())).all() for v in values)
     assert all(torch.isfinite(value).all() for value in state_of(trainer).values())
+
+
+def test_each_step_proposes_with_one_of_the_radii(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[float, tuple[float, ...]]] = []
+    propose = step.propose
+
+    def noted(fields, batch, config) -> tuple[Proposals, ...]:
+        drawn.append((config.mean_shift_radius_voxels, config.further_radii_voxels))
+        return propose(fields, batch, config)
+
+    monkeypatch.setattr(step, "propose", noted)
+    trainer = Trainer(replace(CONFIG, parts="detector"), options(tmp_path), ALONE)
+    batch = batch_of(recordings)
+    for _ in range(16):
+        trainer.step(batch, 1e-3)
+    detection = CONFIG.model.detection
+    radii = {detection.mean_shift_radius_voxels, *detection.further_radii_voxels}
+    assert len(radii) == 3 and {radius for radius, _ in drawn} == radii
+    assert {further for _, further in drawn} == {()}

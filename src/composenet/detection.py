@@ -184,9 +184,9 @@ def second_look(
     """Proposals with corrected boxes and classes, strongest first.
 
     mirror: the mirror image of the batch, to be looked at too. Of proposals nearly alike
-    (`ALIKE_IOU`) the first is looked at. score becomes the quality; of two
-    boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
-    classes: solid furniture cannot share that much space.
+    (`ALIKE_IOU`) the first is looked at. score becomes the quality; of two boxes that overlap by
+    more than config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture
+    cannot share that much space.
     """
     out = []
     for index, p in enumerate(proposals):

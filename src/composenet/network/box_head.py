@@ -90,7 +90,8 @@ class BoxHead(nn.Module):
         frame: Tensor,
         truncation_m: float,
     ) -> BoxFields:
-        """center, extents: (M, 3) metres, grid frame. frame: (M,) int64."""
+        """center, extents: (M, 3) metres, grid frame. frame: (M,) int64. truncation_m: of the
+        signed distance field (see `crop_inputs`)."""
         around = CropBatch(frame, center, CONTEXT * extents, torch.zeros_like(center[:, 0]))
         box, row = torch.nonzero(voxels_inside(batch, around)[1], as_tuple=True)
         place = batch.coords[row, 1:].to(center.dtype) * batch.voxel_size_m

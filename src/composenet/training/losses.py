@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from composenet.geometry.aligned_boxes import paired_iou
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
+from composenet.metrics.records import MATCH_GATE_M
 from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.object_net import (
@@ -73,8 +74,6 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
 
 NEAR_M = 0.6
 """Large furniture must be placed as well as what is this large."""
-RIGHT_M = 0.25
-"""An object whose centre is nearer than this is found."""
 
 
 def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) -> dict[str, Tensor]:
@@ -82,8 +81,8 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
     the true ones, and IoU), quality and class.
 
     The quality that is taught is half overlap, half place: the one rises from 0 to 1 as the
-    corrected box's IoU does from 0.1 to 0.6, the other is 1 where the centre is right (within
-    RIGHT_M).
+    corrected box's IoU does from 0.1 to 0.6, the other is 1 where the centre can match
+    (MATCH_GATE_M).
     """
     keep = boxes.positive
     rows = boxes.rows[keep]
@@ -93,7 +92,7 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
         own = boxes.rows[touching]
         center, extents = fields.center[touching].detach(), fields.extents[touching].detach()
         overlap = paired_iou(center, extents, batch.center[own], batch.extents[own])
-        right = (center - batch.center[own]).norm(dim=1) < RIGHT_M
+        right = (center - batch.center[own]).norm(dim=1) < MATCH_GATE_M
         quality[touching] = (((overlap - 0.1) / 0.5).clamp(0, 1) + right) / 2
     losses = {name: 0 * fields.class_logits.sum() for name in ("box", "box_class")}
     if keep.any():
