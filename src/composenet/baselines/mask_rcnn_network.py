@@ -43,6 +43,8 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool  # noqa: E4
 FORMAT = "composenet.mask_rcnn/1"
 ANCHORS_PX = ((16, 26), (40, 60), (90, 130), (180, 260))
 """sides, at strides 8, 16, 32 and 64"""
+FINEST_STRIDE = 8
+"""of the pyramid"""
 FIRST_LABEL = 1
 """torchvision's label of class 0; label 0 is no furniture"""
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import torch
 from rich.console import Console
-from torch import nn
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy, interpolate
 
 from composenet.baselines.mask_rcnn import NAME
 from composenet.baselines.mask_rcnn_data import (
@@ -19,16 +20,24 @@ from composenet.baselines.mask_rcnn_data import (
     FrameStream,
     MaskSample,
 )
-from composenet.baselines.mask_rcnn_network import MaskRcnnConfig, make_network, save_network
+from composenet.baselines.mask_rcnn_network import (
+    FINEST_STRIDE,
+    FIRST_LABEL,
+    MaskRCNN,
+    MaskRcnnConfig,
+    make_network,
+    save_network,
+)
 from composenet.config import from_dict, to_dict
 from composenet.errors import WeightsError
 from composenet.pipeline import select_device
+from composenet.records import CLASS_NAMES
 from composenet.synth.scene import SceneOptions
 from composenet.training.checkpoint import Progress, read_state, write_state
 from composenet.training.processes import PREFETCHED, StopRequest, batches_of
 from composenet.training.schedule import scheduled_rate
 
-FORMAT = "composenet.mask_rcnn_checkpoint/1"
+FORMAT = "composenet.mask_rcnn_checkpoint/2"
 WARMUP_STEPS = 150
 DECAY_SHARE = 0.5
 """the rate falls to zero over this last part of a run, so every run ends with usable weights"""
@@ -66,11 +75,14 @@ class Trainer:
             self.config = from_dict(stored["config"], MaskRcnnConfig)
             self.progress = Progress(**stored["progress"])
         self.network = make_network(self.config).to(self.device).train()
+        self.semantic = SemanticLoss(self.network, self.config).to(self.device)
+        self.parameters = [*self.network.parameters(), *self.semantic.parameters()]
         self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=options.learning_rate, weight_decay=WEIGHT_DECAY
+            self.parameters, lr=options.learning_rate, weight_decay=WEIGHT_DECAY
         )
         if stored:
             self.network.load_state_dict(stored["network"])
+            self.semantic.load_state_dict(stored["semantic"])
             self.optimizer.load_state_dict(stored["optimizer"])
 
     def step(self, batch: list[MaskSample], rate: float) -> dict[str, float]:
@@ -79,10 +91,11 @@ class Trainer:
             group["lr"] = rate
         images = [sample.image.to(self.device) for sample in batch]
         losses = self.network(images, [sample.target(self.device) for sample in batch])
+        losses["loss_semantic"] = self.semantic()
         total = torch.stack(list(losses.values())).sum()
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
-        norm = nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_CLIP)
+        norm = nn.utils.clip_grad_norm_(self.parameters, GRADIENT_CLIP)
         if torch.isfinite(norm):
             self.optimizer.step()
         self.progress.step += 1
@@ -97,6 +110,7 @@ class Trainer:
             "config": to_dict(self.config),
             "progress": asdict(self.progress),
             "network": self.network.state_dict(),
+            "semantic": self.semantic.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
         write_state(self.checkpoint_path, state)
@@ -115,7 +129,41 @@ class Trainer:
             )
         if not self.options.resume:
             return None
-        return read_state(path, FORMAT, {"config", "progress", "network", "optimizer"})
+        keys = {"config", "progress", "network", "semantic", "optimizer"}
+        return read_state(path, FORMAT, keys)
+
+
+class SemanticLoss(nn.Module):
+    """What class every pixel is of, read from the finest level of the pyramid: a loss beside Mask
+    R-CNN's own, so that a backbone that starts from nothing learns from all pixels of a frame and
+    not from its few proposals alone. Gone once training is over."""
+
+    def __init__(self, network: MaskRCNN, config: MaskRcnnConfig) -> None:
+        super().__init__()
+        n_labels = FIRST_LABEL + len(CLASS_NAMES)
+        self.classify = nn.Conv2d(config.pyramid_channels, n_labels, 1)
+        self._targets: list[dict[str, Tensor]] = []
+        self._finest = torch.empty(0)
+        network.transform.register_forward_hook(self._keep_targets)
+        network.backbone.register_forward_hook(self._keep_finest)
+
+    def _keep_targets(self, _module: nn.Module, _inputs: object, output: tuple) -> None:
+        self._targets = output[1] or []
+
+    def _keep_finest(self, _module: nn.Module, _inputs: object, pyramid: dict[str, Tensor]) -> None:
+        self._finest = pyramid["0"]
+
+    def forward(self) -> Tensor:
+        """Mean cross entropy over the pixels of the frames that the network saw last."""
+        logits = interpolate(
+            self.classify(self._finest), scale_factor=FINEST_STRIDE, mode="bilinear"
+        )
+        losses = []
+        for image, target in zip(logits, self._targets, strict=True):
+            labels = (target["labels"][:, None, None] * target["masks"]).sum(dim=0)
+            height, width = labels.shape
+            losses.append(cross_entropy(image[None, :, :height, :width], labels[None]))
+        return torch.stack(losses).mean()
 
 
 def train(config: MaskRcnnConfig, options: TrainingOptions, scenes: SceneOptions) -> Path:
@@ -196,7 +244,7 @@ class Log:
             return
         self._said = time.monotonic()
         self._file.flush()
-        names = ("total", "objectness", "classifier", "box_reg", "mask")
+        names = ("total", "objectness", "classifier", "box_reg", "mask", "semantic")
         losses = "  ".join(f"{name} {self._mean[name]:.3f}" for name in names)
         waiting = 100 * self._mean["wait_s"] / self._mean["step_s"]
         self._console.print(
