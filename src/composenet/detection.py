@@ -15,6 +15,7 @@ from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.mirror import Mirror, mean_boxes
 from composenet.network.model import ComposeNet
+from composenet.network.sparse import unique_rows
 from composenet.records import Box
 from composenet.volume.voxels import Volume
 
@@ -54,11 +55,9 @@ def mean_shift(
     closer than the radius to a stronger one are merged into it; a point belongs to the mode
     nearest to where its bin ended.
     """
-    bins, member = torch.unique(
-        torch.div(points, bin_size, rounding_mode="floor"), dim=0, return_inverse=True
-    )
+    bins, member = unique_rows(torch.div(points, bin_size, rounding_mode="floor").long())
     weight = points.new_zeros(len(bins)).index_add_(0, member, torch.ones_like(points[:, 0]))
-    mean = torch.zeros_like(bins).index_add_(0, member, points) / weight[:, None]
+    mean = points.new_zeros(len(bins), 3).index_add_(0, member, points) / weight[:, None]
     seeds = mean.clone()
     near = torch.cdist(seeds, mean) <= radius
     for _ in range(steps):
@@ -78,12 +77,12 @@ def mean_shift(
 
 def _distinct(clash: Tensor) -> Tensor:
     """Rows, int64, that clash with no earlier row that is kept. clash: (M, M) bool."""
-    clash = clash.cpu()
-    alive = torch.ones(len(clash), dtype=torch.bool)
-    for i in range(len(clash)):
+    table = clash.cpu().numpy()
+    alive = np.ones(len(table), dtype=bool)
+    for i in range(len(table)):
         if alive[i]:
-            alive[i + 1 :] &= ~clash[i, i + 1 :]
-    return torch.nonzero(alive)[:, 0]
+            alive[i + 1 :] &= ~table[i, i + 1 :]
+    return torch.from_numpy(np.flatnonzero(alive))
 
 
 @torch.no_grad()

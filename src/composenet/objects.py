@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from composenet.config import Config
 from composenet.detection import Proposals
+from composenet.geometry.affine import apply_affine
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
@@ -103,8 +104,8 @@ def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit) -> Tensor:
     """(M, 64, 64, 64) occupancy resampled in canonical space through the fitted similarity."""
     n = CANONICAL_CELLS
     steps = (torch.arange(n, device=shown.device) + 0.5) / n - 0.5
-    cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(1, -1, 3)
-    points = fit.scale[:, None, None] * (cells @ fit.R.transpose(1, 2)) + fit.t[:, None]
+    cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(-1, 3)
+    points = apply_affine(fit.scale[:, None, None] * fit.R, fit.t, cells)
     grid = (2 * crops.shares(points) - 1).flip(-1).view(-1, n, n, n, 3)
     return F.grid_sample(shown[:, None], grid, padding_mode="zeros", align_corners=False)[:, 0]
 

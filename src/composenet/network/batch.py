@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from composenet.geometry.affine import apply_affine
 from composenet.volume.voxels import Volume
 
 
@@ -85,11 +86,13 @@ class CropBatch:
 
     def points(self, cells: int) -> Tensor:
         """(M, cells^3, 3) cell centres, grid frame."""
-        return self.local_points(cells) @ self.R_grid_crop.transpose(1, 2) + self.center[:, None]
+        return apply_affine(self.R_grid_crop, self.center, self.local_points(cells))
 
     def shares(self, points: Tensor) -> Tensor:
-        """(M, P, 3) grid points -> (M, P, 3) places in the box, 0..1 along its own axes."""
-        return (points - self.center[:, None]) @ self.R_grid_crop / self.size[:, None] + 0.5
+        """(M, P, 3) or (P, 3) grid points -> (M, P, 3) places in the box, 0..1 along its own
+        axes."""
+        A = self.R_grid_crop.transpose(1, 2) / self.size[:, :, None]
+        return apply_affine(A, 0.5 - (A @ self.center[:, :, None])[..., 0], points)
 
 
 def collate(volumes: Sequence[Volume]) -> VolumeBatch:

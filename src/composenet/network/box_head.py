@@ -41,7 +41,7 @@ def voxels_inside(batch: VolumeBatch, crops: CropBatch) -> tuple[Tensor, Tensor]
     """(M, N, 3) places of the voxels in every crop, 0..1 along its sides, and (M, N) bool which
     voxels lie in it."""
     centers = batch.coords[:, 1:].to(crops.center.dtype) * batch.voxel_size_m
-    shares = crops.shares(centers.expand(len(crops.frame), -1, -1))
+    shares = crops.shares(centers)
     inside = (shares >= 0).all(-1) & (shares < 1).all(-1)
     return shares, inside & (batch.coords[None, :, 0] == crops.frame[:, None])
 

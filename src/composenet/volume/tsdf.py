@@ -9,6 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from composenet.geometry.affine import apply_affine
+
 
 def projective_tsdf(
     points: Tensor, depth_m: Tensor, K: Tensor, T_camera_points: Tensor, truncation_m: float
@@ -20,7 +22,7 @@ def projective_tsdf(
     observed (B, P) bool: inside the image, before the camera, on a measured pixel. Far behind
     the surface tsdf is -1: occluded, not known to be solid.
     """
-    local = points @ T_camera_points[:, :3, :3].transpose(1, 2) + T_camera_points[:, None, :3, 3]
+    local = apply_affine(T_camera_points[:, :3, :3], T_camera_points[:, :3, 3], points)
     z = local[..., 2]
     ahead = z > 1e-3
     safe_z = torch.where(ahead, z, torch.ones_like(z))
