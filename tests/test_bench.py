@@ -110,13 +110,13 @@ def test_the_f2f_gt_row_is_the_same_for_any_number_of_workers_and_after_an_inter
     (tmp_path / "image.png").replace(image)
 
     again = []
-    real = bench.score_method
+    real = bench.score_methods
 
-    def noted(folder: Path, name: str, **others):
-        again.append((folder.name, name))
-        return real(folder, name, **others)
+    def noted(folder: Path, names: tuple[str, ...], **others):
+        again.append((folder.name, *names))
+        return real(folder, names, **others)
 
-    monkeypatch.setattr(bench, "score_method", noted)
+    monkeypatch.setattr(bench, "score_methods", noted)
     monkeypatch.setattr(jobs, "worker_pool", Here)
     assert run(*asked, "--out", one) == 0
     assert again == [("val_00002", "f2f-gt")] and numbers(one) == rows
@@ -134,14 +134,14 @@ def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> 
     assert shifted.scores.clear.mota > seen.scores.clear.mota + 0.3
 
 
-def dies_of_one(folder: Path, name: str) -> ScoredSequence:
+def dies_of_one(folder: Path, names: tuple[str, ...]) -> dict[str, ScoredSequence]:
     """Work for a process: one folder kills it, one fails."""
     if folder.name == "deadly":
         os._exit(1)
     if folder.name == "broken":
-        raise ZeroDivisionError(name)
+        raise ZeroDivisionError(*names)
     scores = SequenceScores(ClearScores(tp=3), (), IdentityScores(), hota_scores([]))
-    return ScoredSequence(scores, (), ())
+    return {name: ScoredSequence(scores, (), ()) for name in names}
 
 
 def test_a_process_that_dies_takes_no_other_sequence_along(tmp_path: Path) -> None:
@@ -149,10 +149,10 @@ def test_a_process_that_dies_takes_no_other_sequence_along(tmp_path: Path) -> No
     for name in names:
         (tmp_path / name).mkdir()
         (tmp_path / name / "annotations.json").write_text("{}")
-    work = [("row", tmp_path / name) for name in names]
+    folders = [tmp_path / name for name in names]
     cache = ScoreCache(tmp_path / "kept", Path(os.devnull))
-    outcomes = jobs.run_jobs(work, dies_of_one, cache, 1, Console(quiet=True))
-    assert list(outcomes) == work  # in order, none dropped
+    outcomes = jobs.run_jobs(["row"], folders, dies_of_one, cache, 1, Console(quiet=True))
+    assert list(outcomes) == [("row", folder) for folder in folders]  # in order, none dropped
     first, broken, deadly, last = outcomes.values()
     assert isinstance(first, ScoredSequence) and isinstance(last, ScoredSequence)
     assert deadly == jobs.DIED and str(broken).startswith("ZeroDivisionError: row (test_bench.py")

@@ -231,15 +231,23 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     before = numbers(one)
     (one / "sequences" / "val_00001.full.pkl").unlink()  # only this one is scored again
     asked = []
-    real = evaluate.score_sequence
+    real = evaluate.score_variants
 
-    def noted(folder: Path, variant: str, **others: object):
-        asked.append((folder.name, variant))
-        return real(folder, variant, **others)
+    def noted(folder: Path, variants: tuple[str, ...], **others: object):
+        asked.append((folder.name, variants))
+        return real(folder, variants, **others)
 
-    monkeypatch.setattr(evaluate, "score_sequence", noted)
+    monkeypatch.setattr(evaluate, "score_variants", noted)
     assert run(*again) == 0
-    assert asked == [("val_00001", "full")] and numbers(one) == before
+    assert asked == [("val_00001", ("full",))] and numbers(one) == before
+    # A variant gives the same beside others, and only what is missing is asked for.
+    alone = numbers(one)["full"]
+    assert run(*again, "--variants", "full,no-compl,no-corr") == 0
+    assert asked[1:] == [(name, ("no-compl", "no-corr")) for name in ("val_00000", "val_00001")]
+    assert numbers(one)["full"] == alone
+    together = tmp_path / "together"
+    assert run(*common, "--out", together, "--variants", "no-corr,full,no-compl") == 0
+    assert {k: numbers(together)[k] for k in numbers(one)} == numbers(one)
 
 
 def test_one_bad_sequence_does_not_stop_the_others(

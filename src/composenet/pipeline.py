@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +13,10 @@ from typing import Any
 import torch
 
 from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, to_dict
-from composenet.detection import propose, remembered, second_look
+from composenet.detection import Proposals, propose, remembered, second_look
 from composenet.errors import ConfigError
-from composenet.network.batch import collate
+from composenet.network.batch import VolumeBatch, collate
+from composenet.network.detection_head import VoxelFields
 from composenet.network.mirror import Mirror
 from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
@@ -23,7 +24,7 @@ from composenet.objects import estimate_objects
 from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.tracker import Tracker
 from composenet.volume.memory import SurfaceMemory
-from composenet.volume.voxels import voxelize
+from composenet.volume.voxels import Volume, voxelize
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,29 @@ class FrameResult:
     timings_ms: dict[str, float]
 
 
+@dataclass(frozen=True)
+class Scene:
+    """What the network makes of one frame before it looks at single objects."""
+
+    volume: Volume
+    batch: VolumeBatch
+    fields: VoxelFields
+    mirror: Mirror | None
+    proposals: Proposals
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One frame as it looks whatever is tracked: trackers of one recording that differ only in
+    config.tracking can share it. scene: None where the frame shows nothing. looked_at: posed
+    detections and timings of the trackers that have followed, by what they asked for."""
+
+    frame: Frame
+    scene: Scene | None
+    timings_ms: dict[str, float]
+    looked_at: dict[Hashable, tuple[tuple[ObjectEstimate, ...], dict[str, float]]]
+
+
 class ObjectTracker:
     """Tracks the furniture of one recording, frame by frame, looking at nothing to come."""
 
@@ -46,33 +70,58 @@ class ObjectTracker:
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame."""
+        return self.follow(self.look(frame))
+
+    @torch.inference_mode()
+    def look(self, frame: Frame) -> Sight:
+        """The first half: volume, voxel fields, proposals."""
         clock, detection = _Clock(self.device), self.config.detection
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)
-        estimates: tuple[ObjectEstimate, ...] = ()
-        if volume is not None:
-            with torch.inference_mode():
-                batch = collate([volume]).to(self.device)
-                mirror = None
-                with clock("backbone"):
-                    fields = self.network.voxel_fields(batch)
-                    if detection.use_mirror:
-                        fields, mirror = Mirror.of(self.network, batch).agreed(fields)
-                with clock("proposals"):
-                    (found,) = propose(fields, batch, detection)
-                    if detection.use_tracks:
-                        found += remembered(self._tracker.boxes, volume, found, detection)
-                with clock("boxes"):
-                    (proposals,) = second_look(
-                        self.network, fields, batch, (found,), detection, mirror
-                    )
-                with clock("objects"):
-                    estimates = estimate_objects(
-                        self.network, fields, batch, volume, proposals, self.config
-                    )
+        if volume is None:
+            return Sight(frame, None, clock.milliseconds, {})
+        batch, mirror = collate([volume]).to(self.device), None
+        with clock("backbone"):
+            fields = self.network.voxel_fields(batch)
+            if detection.use_mirror:
+                fields, mirror = Mirror.of(self.network, batch).agreed(fields)
+        with clock("proposals"):
+            (proposals,) = propose(fields, batch, detection)
+        scene = Scene(volume, batch, fields, mirror, proposals)
+        return Sight(frame, scene, clock.milliseconds, {})
+
+    def follow(self, sight: Sight) -> FrameResult:
+        """The second half: a closer look at every proposal and at where tracks were last, their
+        completion and pose, and the association with the tracks."""
+        clock = _Clock(self.device)
+        estimates, timings_ms = self._estimates(sight)
         with clock("association"):
-            objects = self._tracker.update(frame, estimates)
-        return FrameResult(objects, estimates, clock.milliseconds)
+            objects = self._tracker.update(sight.frame, estimates)
+        timings_ms = sight.timings_ms | timings_ms | clock.milliseconds
+        return FrameResult(objects, estimates, timings_ms)
+
+    @torch.inference_mode()
+    def _estimates(self, sight: Sight) -> tuple[tuple[ObjectEstimate, ...], dict[str, float]]:
+        scene, detection = sight.scene, self.config.detection
+        if scene is None:
+            return (), {}
+        last = self._tracker.boxes if detection.use_tracks else ()
+        places = tuple((*box.center.tolist(), *box.extents.tolist()) for box in last)
+        asked = (places, self.config.tracking.use_completion)
+        if asked not in sight.looked_at:
+            clock = _Clock(self.device)
+            with clock("boxes"):
+                found = scene.proposals
+                found += remembered(last, scene.volume, found, detection)
+                (proposals,) = second_look(
+                    self.network, scene.fields, scene.batch, (found,), detection, scene.mirror
+                )
+            with clock("objects"):
+                estimates = estimate_objects(
+                    self.network, scene.fields, scene.batch, scene.volume, proposals, self.config
+                )
+            sight.looked_at[asked] = estimates, clock.milliseconds
+        return sight.looked_at[asked]
 
     def tracks(self) -> tuple[Track, ...]:
         """All identities so far: as they were told of, or with tracking.offline as the whole
@@ -80,9 +129,11 @@ class ObjectTracker:
         tracker = self._tracker
         return tracker.hindsight() if self.config.tracking.offline else tracker.tracks()
 
-    def restart(self) -> ObjectTracker:
-        """A tracker for another recording with the same network."""
-        return ObjectTracker(self.network, self.config, self.device)
+    def restart(self, **tracking: Any) -> ObjectTracker:
+        """A tracker for another recording with the same network. Keywords replace fields of
+        config.tracking. Raises ConfigError."""
+        changed = from_dict({**to_dict(self.config.tracking), **tracking}, TrackingConfig)
+        return ObjectTracker(self.network, replace(self.config, tracking=changed), self.device)
 
 
 def load_tracker(
@@ -102,9 +153,7 @@ def load_tracker(
     network, own, _ = load_weights(Path(weights) if weights else default_weights(), chosen)
     if config is not None and _sizes(config.network) != _sizes(own.network):
         raise ConfigError("config.network does not fit the weights; leave it as they have it")
-    config = config or own
-    changed = from_dict({**to_dict(config.tracking), **tracking}, TrackingConfig)
-    return ObjectTracker(network, replace(config, tracking=changed), chosen)
+    return ObjectTracker(network, config or own, chosen).restart(**tracking)
 
 
 def _sizes(network: NetworkConfig) -> tuple[object, ...]:

@@ -23,8 +23,8 @@ from composenet.commands.scoring import (
     VARIANTS,
     ScoredSequence,
     moved_truth,
-    score_sequence,
     score_tracks,
+    score_variants,
     sequence_folders,
     tall_table,
 )
@@ -67,11 +67,11 @@ def run_bench(
     made_of = _weights_by_row(names, asked, "all" in methods, console)
     names = list(made_of)
     outcomes: dict[Job, Outcome] = {}
-    for name, file in made_of.items():
+    work = partial(score_methods, asked=asked)
+    for together in _run_together(names, camera):
+        file = made_of[together[0]]
         cache = ScoreCache(out / "sequences", file or Path(os.devnull), camera, device)
-        work = partial(score_method, asked=asked)
-        jobs = [(name, folder) for folder in folders]
-        outcomes |= run_jobs(jobs, work, cache, workers, console)
+        outcomes |= run_jobs(together, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)
     if scores:
         info = _origin(data, names, asked)
@@ -96,15 +96,23 @@ def chosen_methods(asked: Sequence[str]) -> list[str]:
     return [name for name in METHODS if "all" in asked or name in asked]
 
 
-def score_method(folder: Path, name: str, *, asked: Asked) -> ScoredSequence:
-    """One row over one sequence."""
-    if name in ROWS:
-        row = ROWS[name]
-        return score_system(folder, row, asked.cameras, shifted=True)
-    assert asked.weights is not None
-    if asked.cameras is Cameras.GIVEN:
-        return score_sequence(folder, name, weights=asked.weights, device=asked.device)
-    return score_system(folder, _own_row(name, asked), asked.cameras, shifted=False)
+def _run_together(names: Sequence[str], cameras: Cameras) -> list[list[str]]:
+    """Rows that share work: our variants, as long as they see with the same cameras."""
+    own = [name for name in names if name in VARIANTS and cameras is Cameras.GIVEN]
+    return [*([name] for name in names if name not in own), *([own] if own else [])]
+
+
+def score_methods(folder: Path, names: Sequence[str], *, asked: Asked) -> dict[str, ScoredSequence]:
+    """Some rows over one sequence."""
+    if set(names) <= set(VARIANTS) and asked.cameras is Cameras.GIVEN:
+        assert asked.weights is not None
+        return score_variants(folder, names, weights=asked.weights, device=asked.device)
+    return {name: _score_row(folder, name, asked) for name in names}
+
+
+def _score_row(folder: Path, name: str, asked: Asked) -> ScoredSequence:
+    row = ROWS[name] if name in ROWS else _own_row(name, asked)
+    return score_system(folder, row, asked.cameras, shifted=name in ROWS)
 
 
 def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> ScoredSequence:

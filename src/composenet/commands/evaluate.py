@@ -16,8 +16,8 @@ from composenet.commands.scoring import (
     VARIANTS,
     ScoredSequence,
     moved_truth,
-    score_sequence,
     score_tracks,
+    score_variants,
     sequence_folders,
     tall_table,
 )
@@ -57,9 +57,9 @@ def run_eval(
         weights = weights or default_weights()
         load_tracker(weights, device=device)  # what is wrong with them is said once
         cache = ScoreCache(out / "sequences", weights, device, offline)
-        jobs = [(variant, folder) for variant in dict.fromkeys(variants) for folder in folders]
-        work = partial(score_sequence, weights=weights, device=device, offline=offline)
-        outcomes = run_jobs(jobs, work, cache, workers, console)
+        work = partial(score_variants, weights=weights, device=device, offline=offline)
+        names = list(dict.fromkeys(variants))
+        outcomes = run_jobs(names, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)
     made_with = weights_id(weights) if weights else ""
     command = " ".join(["composenet", *sys.argv[1:]])

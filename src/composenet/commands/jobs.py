@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 
@@ -23,48 +24,63 @@ Job = tuple[str, Path]
 """variant or method, sequence folder"""
 Outcome = ScoredSequence | str
 """the scores, or why there are none"""
-Work = Callable[[Path, str], ScoredSequence]
+Work = Callable[[Path, tuple[str, ...]], dict[str, ScoredSequence]]
+"""scores a sequence with several variants or methods at once"""
 
+Scores = TypeVar("Scores")
 DIED = "the process that scored it died (out of memory?)"
 
 
 def run_jobs(
-    jobs: Sequence[Job], work: Work, cache: ScoreCache, workers: int, console: Console
+    names: Sequence[str],
+    folders: Sequence[Path],
+    work: Work,
+    cache: ScoreCache,
+    workers: int,
+    console: Console,
 ) -> dict[Job, Outcome]:
-    """Every job's outcome, in the order of the jobs, however many workers there are.
+    """Every name's outcome on every folder, name after name, however many workers there are.
 
-    Where a process dies, what others have under way dies with it: these jobs are done again, each
-    in a process of its own, so that only the one at fault fails.
+    Where a process dies, what others have under way dies with it: these folders are done again,
+    each in a process of its own, so that only the one at fault fails.
     """
     done: dict[Job, Outcome] = {}
-    for name, folder in jobs:
-        if (stored := cache.load(folder, name)) is not None:
-            done[name, folder] = stored
+    todo: dict[Path, tuple[str, ...]] = {}
+    for folder in folders:
+        kept = {name: cache.load(folder, name) for name in names}
+        done |= {(name, folder): scores for name, scores in kept.items() if scores is not None}
+        if missing := tuple(name for name, scores in kept.items() if scores is None):
+            todo[folder] = missing
     with progress_bar(console) as progress:
-        task = progress.add_task("scoring", total=len(jobs), completed=len(done), note="")
+        total = len(folders)
+        task = progress.add_task("scoring", total=total, completed=total - len(todo), note="")
 
-        def finish(job: Job, outcome: Outcome) -> None:
-            name, folder = job
-            done[job] = outcome
-            if isinstance(outcome, ScoredSequence):
-                cache.save(folder, name, outcome)
-            progress.update(task, advance=1, note=f"{folder.name} {name}")
+        def finish(folder: Path, outcome: dict[str, ScoredSequence] | str) -> None:
+            for name in todo[folder]:
+                one = outcome if isinstance(outcome, str) else outcome[name]
+                done[name, folder] = one
+                if isinstance(one, ScoredSequence):
+                    cache.save(folder, name, one)
+            progress.update(task, advance=1, note=f"{folder.name} {' '.join(todo[folder])}")
 
-        lost = _run_pool([job for job in jobs if job not in done], work, workers, finish)
-        for job in lost:
-            if _run_pool([job], work, 1, finish):
-                finish(job, DIED)
-    return {job: done[job] for job in jobs}
+        for folder in _run_pool(todo, work, workers, finish):
+            if _run_pool({folder: todo[folder]}, work, 1, finish):
+                finish(folder, DIED)
+    return {(name, folder): done[name, folder] for name in names for folder in folders}
 
 
 def _run_pool(
-    jobs: Sequence[Job], work: Work, workers: int, finish: Callable[[Job, Outcome], None]
-) -> list[Job]:
-    """Run jobs in processes, reporting each as it ends; those that a dying process took along."""
+    todo: Mapping[Path, tuple[str, ...]],
+    work: Work,
+    workers: int,
+    finish: Callable[[Path, dict[str, ScoredSequence] | str], None],
+) -> list[Path]:
+    """Run the work in processes, reporting each folder as it ends; those that a dying process
+    took along."""
     lost = []
     with worker_pool(workers) as pool:
         futures = {
-            pool.submit(guarded, work, folder, name): (name, folder) for name, folder in jobs
+            pool.submit(guarded, work, folder, names): folder for folder, names in todo.items()
         }
         for future in as_completed(futures):
             try:
@@ -73,7 +89,7 @@ def _run_pool(
                 lost.append(futures[future])
             else:
                 finish(futures[future], outcome)
-    return sorted(lost, key=jobs.index)
+    return sorted(lost, key=list(todo).index)
 
 
 @contextmanager
@@ -92,7 +108,7 @@ def _die_of_ctrl_c() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def guarded(work: Callable[..., ScoredSequence], *arguments: object) -> Outcome:
+def guarded(work: Callable[..., Scores], *arguments: object) -> Scores | str:
     """What the work gives, or one line on why it failed: no sequence may stop the others."""
     try:
         return work(*arguments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
@@ -22,10 +22,14 @@ from composenet.records import (
     ObjectEstimate,
     ObjectFrameTruth,
     SequenceTruth,
+    Track,
     TrackedObject,
 )
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
+
+if TYPE_CHECKING:
+    from composenet.pipeline import FrameResult
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "full": {},
@@ -80,10 +84,11 @@ def sequence_folders(data: Path) -> list[Path]:
     return folders
 
 
-def score_sequence(
-    folder: Path, variant: str, *, weights: Path, device: str, offline: bool = False
-) -> ScoredSequence:
-    """Track one sequence with one variant and score it. Ground truth is read by the scorer only.
+def score_variants(
+    folder: Path, variants: Sequence[str], *, weights: Path, device: str, offline: bool = False
+) -> dict[str, ScoredSequence]:
+    """Track one sequence with several variants, which share what they see alike, and score each.
+    Ground truth is read by the scorer only.
 
     One compute thread: sums are then taken in the same order on every machine.
     """
@@ -92,17 +97,35 @@ def score_sequence(
     from composenet.pipeline import load_tracker
 
     torch.set_num_threads(1)
-    tracker = load_tracker(weights, device=device, offline=offline, **VARIANTS[variant])
+    eyes = load_tracker(weights, device=device, offline=offline)
+    trackers = {variant: eyes.restart(**VARIANTS[variant]) for variant in variants}
+    results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
     sequence = open_sequence(folder)
     frames = list(sequence)
-    results = {frame.index: tracker(frame) for frame in frames}
+    for frame in frames:
+        sight = eyes.look(frame)
+        for variant, tracker in trackers.items():
+            results[variant][frame.index] = tracker.follow(sight)
+    truth = moved_truth(read_truth(folder), sequence.T_level_source)
+    return {
+        variant: _score(truth, frames, results[variant], tracker.tracks(), offline)
+        for variant, tracker in trackers.items()
+    }
+
+
+def _score(
+    truth: SequenceTruth,
+    frames: Sequence[Frame],
+    results: Mapping[int, FrameResult],
+    tracks: Sequence[Track],
+    offline: bool,
+) -> ScoredSequence:
+    """One variant over one sequence; results by frame index."""
     seconds = [sum(result.timings_ms.values()) / 1e3 for result in results.values()]
     tracked = {index: result.objects for index, result in results.items()}
-    tracks = tracker.tracks()
     if offline:
         histories = [entry for track in tracks for entry in track.history]
         tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
-    truth = moved_truth(read_truth(folder), sequence.T_level_source)
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
     shown = {frame.index: frame for frame in frames}
     every = range(len(truth.frames))  # frames that could not be read count as seen by nobody
