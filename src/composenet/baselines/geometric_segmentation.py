@@ -78,23 +78,23 @@ def edge_map(points: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
     edges = np.ones((height, width), np.bool_)
     for v in range(height):
         for u in range(width):
-            p, n = points[v, u], normals[v, u]
-            if p[2] <= 0 or n[0] * n[0] + n[1] * n[1] + n[2] * n[2] < 0.5:
+            px, py, pz = points[v, u]
+            nx, ny, nz = normals[v, u]
+            if pz <= 0 or nx * nx + ny * ny + nz * nz < 0.5:
                 continue
-            step_m = STEP_M + STEP_PER_M2 * p[2] * p[2]
+            step_m = STEP_M + STEP_PER_M2 * pz * pz
             edge = False
             for y in range(max(0, v - 1), min(height, v + 2)):
                 for x in range(max(0, u - 1), min(width, u + 2)):
-                    q, m = points[y, x], normals[y, x]
-                    if q[2] <= 0:
+                    qx, qy, qz = points[y, x]
+                    if edge or qz <= 0:
                         continue
-                    off, cosine = 0.0, 0.0
-                    for k in range(3):
-                        off += (q[k] - p[k]) * n[k]
-                        cosine += n[k] * m[k]
-                    edge = edge or abs(off) > step_m
-                    known = m[0] != 0 or m[1] != 0 or m[2] != 0
-                    edge = edge or (known and off > 0 and 1 - cosine > CONCAVITY)
+                    off = 0.0 + (qx - px) * nx + (qy - py) * ny + (qz - pz) * nz
+                    edge = abs(off) > step_m
+                    if off > 0 and not edge:
+                        mx, my, mz = normals[y, x]
+                        known = mx != 0 or my != 0 or mz != 0
+                        edge = known and 1 - (0.0 + nx * mx + ny * my + nz * mz) > CONCAVITY
             edges[v, u] = edge
     return edges
 
