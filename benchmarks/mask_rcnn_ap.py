@@ -46,7 +46,7 @@ def evaluate(
     for index in range(scenes):
         scene = generate_scene("val", index, options)
         for i in np.linspace(0, scene.n_frames - 1, frames).round().astype(int).tolist():
-            rendered = scene.render(i, noise=False)
+            rendered = scene.render(i)
             truth, found = true_masks(scene, rendered.ids), source.detections(rendered.frame)
             every.append(scored_classes(truth, found))
             used.append(scored_classes(truth, distinct(found)))

@@ -66,12 +66,17 @@ def test_a_sample_by_hand() -> None:
     ids[13:19, 20:30] = 2  # 60
     ids[0, :] = 5  # 30: too few
     color = np.full((20, 30, 3), 51, np.uint8)
-    sample = make_sample(color, ids, {2: 0, 5: 1, 7: 9})
+    depth_m = np.full((20, 30), 2.0, np.float32)
+    depth_m[0] = 0.0
+    depth_m[1] = 0.4
+    sample = make_sample(color, depth_m, ids, {2: 0, 5: 1, 7: 9})
     assert sample.labels.tolist() == [1, 10]  # by gt_id; 0 is the background
     assert sample.boxes.tolist() == [[20, 13, 30, 19], [5, 2, 15, 12]]
     assert sample.masks.sum((1, 2)).tolist() == [60, 100]
-    torch.testing.assert_close(sample.image, torch.full((3, 20, 30), 0.2))
-    empty = make_sample(color, 0 * ids, {})
+    torch.testing.assert_close(sample.image[:3], torch.full((3, 20, 30), 0.2))
+    assert (sample.image[3, 0] == 0).all() and (sample.image[3, 1] == 1).all()
+    assert (sample.image[3, 2:] == 0.25).all()  # half a metre over two
+    empty = make_sample(color, depth_m, 0 * ids, {})
     assert empty.boxes.shape == (0, 4) and empty.masks.shape == (0, 20, 30)
 
 
@@ -144,7 +149,7 @@ def test_weights_come_back_and_others_are_refused(weights: Path, tmp_path: Path)
     network, notes = load_network(weights)
     assert notes == {"steps": 0}
     color = np.random.default_rng(0).integers(0, 255, (72, 96, 3)).astype(np.uint8)
-    found = detect(network, image_tensor(color))
+    found = detect(network, image_tensor(color, np.ones(color.shape[:2], np.float32)))
     assert found["masks"].shape == (len(found["scores"]), 1, 72, 96)
     with pytest.raises(WeightsError, match="no such weights file"):
         load_network(tmp_path / "none")

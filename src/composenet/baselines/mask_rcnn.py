@@ -1,4 +1,4 @@
-"""Masks as Mask R-CNN sees them in the colour image, for the baselines that are told nothing."""
+"""Masks as Mask R-CNN sees them in colour and depth, for the baselines that are told nothing."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MaskRcnnMasks:
                 f"frame {frame.name or frame.index}: Mask R-CNN needs colour images, "
                 "this recording has none; choose other --methods"
             )
-        found = detect(self._network, image_tensor(frame.color))
+        found = detect(self._network, image_tensor(frame.color, frame.depth_m))
         return InstanceMasks(
             masks=(found["masks"][:, 0] > MASK_THRESHOLD).numpy(),
             class_ids=found["labels"].numpy() - FIRST_LABEL,

@@ -24,7 +24,7 @@ MIN_PIXELS = 50
 
 @dataclass(frozen=True)
 class MaskSample:
-    """One image with its furniture. image: (3, H, W) float32 in 0..1. boxes: (M, 4) float32 x0, y0,
+    """One image with its furniture. image: (4, H, W), `image_tensor`. boxes: (M, 4) float32 x0, y0,
     x1, y1, around the masks' pixels. labels: (M,) int64. masks: (M, H, W) uint8, 0 or 1."""
 
     image: Tensor
@@ -39,16 +39,19 @@ class MaskSample:
 
 
 def make_sample(
-    color: NDArray[np.uint8], ids: NDArray[np.uint16], class_ids: dict[int, int]
+    color: NDArray[np.uint8],
+    depth_m: NDArray[np.float32],
+    ids: NDArray[np.uint16],
+    class_ids: dict[int, int],
 ) -> MaskSample:
-    """Of an image (H, W, 3) with ids (H, W). class_ids: by gt_id."""
+    """Of an image (H, W, 3) with depth and ids (H, W). class_ids: by gt_id."""
     gt_ids, counts = np.unique(ids, return_counts=True)
     gt_ids = gt_ids[(gt_ids > 0) & (counts >= MIN_PIXELS)]
     masks = ids[None] == gt_ids[:, None, None]
     boxes = np.array([_box(mask) for mask in masks], np.float32).reshape(-1, 4)
     labels = [class_ids[int(gt_id)] + FIRST_LABEL for gt_id in gt_ids]
     return MaskSample(
-        image_tensor(color),
+        image_tensor(color, depth_m),
         torch.from_numpy(boxes),
         torch.tensor(labels, dtype=torch.int64),
         torch.from_numpy(masks.astype(np.uint8)),
@@ -71,12 +74,13 @@ def samples_of_scene(scene: Scene, rng: np.random.Generator) -> Iterator[MaskSam
     class_ids = class_ids_of(scene)
     count = min(FRAMES_PER_SCENE, scene.n_frames)
     for i in rng.choice(scene.n_frames, count, replace=False).tolist():
-        rendered = scene.render(i, noise=False)
+        rendered = scene.render(i)
         assert rendered.frame.color is not None
-        color, ids = _relit(rendered.frame.color, rng), rendered.ids
+        color, depth_m, ids = rendered.frame.color, rendered.frame.depth_m, rendered.ids
+        color = _relit(color, rng)
         if rng.random() < 0.5:
-            color, ids = color[:, ::-1], ids[:, ::-1]
-        yield make_sample(color, ids, class_ids)
+            color, depth_m, ids = color[:, ::-1], depth_m[:, ::-1], ids[:, ::-1]
+        yield make_sample(color, depth_m, ids, class_ids)
 
 
 def _relit(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

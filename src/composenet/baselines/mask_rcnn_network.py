@@ -5,6 +5,9 @@ torchvision's `maskrcnn_resnet50_fpn`, so that it can be trained from nothing on
 
 - a narrow ResNet of 18 layers, its stem without pooling's 7x7, group normalisation throughout
   (batches are small); pyramid from stride 8 on, 64 channels;
+- beside the colours it is given disparity, of which a plane is a linear function: with colour alone
+  far more frames are needed to learn where objects end (the systems' papers give it colour alone,
+  so this is to their advantage);
 - anchors for images of 320x240, fewer proposals, two mask convolutions instead of four.
 """
 
@@ -40,11 +43,12 @@ from torchvision.models.resnet import BasicBlock  # noqa: E402
 from torchvision.ops import MultiScaleRoIAlign  # noqa: E402
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool  # noqa: E402
 
-FORMAT = "composenet.mask_rcnn/1"
+FORMAT = "composenet.mask_rcnn/2"
 ANCHORS_PX = ((16, 26), (40, 60), (90, 130), (180, 260))
 """sides, at strides 8, 16, 32 and 64"""
 FINEST_STRIDE = 8
 """of the pyramid"""
+NEAREST_M = 0.5
 FIRST_LABEL = 1
 """torchvision's label of class 0; label 0 is no furniture"""
 
@@ -62,8 +66,8 @@ class MaskRcnnConfig:
 
 
 def make_network(config: MaskRcnnConfig) -> MaskRCNN:
-    """The network, untrained. It takes a list of (3, H, W) images in 0..1 (RGB) and, in training, a
-    list of targets; see torchvision's `MaskRCNN`."""
+    """The network, untrained. It takes a list of (4, H, W) images (see `image_tensor`) and, in
+    training, a list of targets; see torchvision's `MaskRCNN`."""
     n_classes = FIRST_LABEL + len(CLASS_NAMES)
     pyramid, width = config.pyramid_channels, config.box_channels
     levels = ["0", "1", "2"]
@@ -71,8 +75,8 @@ def make_network(config: MaskRcnnConfig) -> MaskRCNN:
         _backbone(config),
         min_size=min(config.image_size),
         max_size=max(config.image_size),
-        image_mean=[0.45] * 3,
-        image_std=[0.25] * 3,
+        image_mean=[0.45, 0.45, 0.45, 0.2],
+        image_std=[0.25, 0.25, 0.25, 0.15],
         rpn_anchor_generator=AnchorGenerator(ANCHORS_PX, ((0.5, 1.0, 2.0),) * len(ANCHORS_PX)),
         rpn_pre_nms_top_n_train=400,
         rpn_pre_nms_top_n_test=400,
@@ -94,7 +98,7 @@ def _backbone(config: MaskRcnnConfig) -> BackboneWithFPN:
     """A ResNet of two blocks a stage under a pyramid."""
     a, b, c, d = config.channels
     stem = nn.Sequential(
-        nn.Conv2d(3, a // 2, 3, stride=2, padding=1, bias=False),
+        nn.Conv2d(4, a // 2, 3, stride=2, padding=1, bias=False),
         _norm(a // 2),
         nn.ReLU(inplace=True),
     )
@@ -127,14 +131,18 @@ def _norm(channels: int) -> nn.GroupNorm:
     return nn.GroupNorm(max(1, channels // 8), channels)
 
 
-def image_tensor(color: NDArray[np.uint8]) -> Tensor:
-    """(3, H, W) float32 in 0..1 of an image (H, W, 3)."""
-    return torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1).float() / 255
+def image_tensor(color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Tensor:
+    """(4, H, W) float32 in 0..1: red, green, blue, and disparity, which is 1 up to NEAREST_M and 0
+    where no depth is. color: (H, W, 3). depth_m: (H, W), 0 where unknown."""
+    known = depth_m > 0
+    disparity = np.where(known, NEAREST_M / np.where(known, depth_m, 1.0), 0.0).clip(0, 1)
+    channels = np.dstack([color.astype(np.float32) / 255, disparity.astype(np.float32)])
+    return torch.from_numpy(np.ascontiguousarray(channels.transpose(2, 0, 1)))
 
 
 @torch.inference_mode()
 def detect(network: MaskRCNN, image: Tensor) -> dict[str, Tensor]:
-    """torchvision's detections in one (3, H, W) image in 0..1, strongest first: boxes (M, 4),
+    """torchvision's detections in one image (see `image_tensor`), strongest first: boxes (M, 4),
     labels and scores (M,), masks (M, 1, H, W) in 0..1. On the CPU."""
     found = network([image.to(next(network.parameters()).device)])[0]
     return {name: value.cpu() for name, value in found.items()}
