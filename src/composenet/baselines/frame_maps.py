@@ -41,6 +41,14 @@ class Maps:
         x, y, z = self.normals[..., 0], self.normals[..., 1], self.normals[..., 2]
         return np.asarray((self.points[..., 2] > 0) & ((z != 0) | (x != 0) | (y != 0)))
 
+    def chosen(
+        self, mask: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Points (P, 3), normals (P, 3) and brightness (P,) of the mask's pixels (H, W)."""
+        pixels = np.flatnonzero(mask)
+        points, normals = self.points.reshape(-1, 3), self.normals.reshape(-1, 3)
+        return points.take(pixels, 0), normals.take(pixels, 0), self.intensity.take(pixels)
+
 
 def measured_maps(frame: Frame) -> Maps:
     """Of a frame; points and normals are those of the smoothed depth."""

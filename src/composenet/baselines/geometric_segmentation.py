@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, label
+from scipy.ndimage import binary_closing, find_objects, label
 
 from composenet.baselines.frame_maps import Maps
 from composenet.records import FloatArray
@@ -55,9 +55,10 @@ def masks_of_pieces(
     owned[0] = False
     refined = np.where(owned, best, 0)[numbers].astype(np.int32)
     closed = refined.copy()
-    for number in range(1, len(masks) + 1):
-        whole = binary_closing(np.pad(refined == number, 2), _CROSS, iterations=2)[2:-2, 2:-2]
-        closed[whole & (refined == 0)] = number
+    for number, place in enumerate(find_objects(refined), start=1):
+        if place is not None:  # closing fills nothing outside a mask's box
+            whole = binary_closing(np.pad(refined[place] == number, 2), _CROSS, iterations=2)
+            closed[place][whole[2:-2, 2:-2] & (refined[place] == 0)] = number
     return closed, owned
 
 

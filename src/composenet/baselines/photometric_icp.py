@@ -42,8 +42,7 @@ def align(model: Maps, frame: list[Maps]) -> tuple[NDArray[np.float64], int]:
     views = pyramid(model, LEVELS)
     for halved in reversed(range(LEVELS)):
         view, level = views[halved], frame[halved]
-        kept = view.valid
-        points, normals, light = view.points[kept], view.normals[kept], view.intensity[kept]
+        points, normals, light = view.chosen(view.valid)
         K = level.camera.K
         for _ in range(ITERATIONS[halved]):
             A, b, count = _normal_equations(
@@ -125,11 +124,19 @@ def photometric_row(point, light, image, fx, fy, cx, cy, row):
 
 @numba.njit(cache=True, nogil=True)
 def add_row(A, b, row, residual, weight):
-    """One residual into J^T W J (6, 6) and J^T W r (6,), in place."""
+    """One residual into J^T W J (6, 6), of which only the upper half, and J^T W r (6,), in place:
+    `mirrored` when all are in."""
     for i in range(6):
-        for j in range(6):
-            A[i, j] += weight * row[i] * row[j]
-        b[i] += weight * row[i] * residual
+        weighted = weight * row[i]
+        for j in range(i, 6):
+            A[i, j] += weighted * row[j]
+        b[i] += weighted * residual
+
+
+@numba.njit(cache=True, nogil=True)
+def mirrored(A):
+    """The whole of a symmetric matrix whose upper half is given."""
+    return A + A.T - np.diag(np.diag(A))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -175,7 +182,7 @@ def _normal_equations(
             if np.isfinite(residual) and slope * point[2] ** 2 > _MIN_GRADIENT**2:
                 weight = min(1.0, _HUBER_LIGHT / max(abs(residual), 1e-12)) * PHOTOMETRIC_WEIGHT
                 add_row(A, b, row, residual, weight)
-    return A, b, pairs
+    return mirrored(A), b, pairs
 
 
 @numba.njit(cache=True, nogil=True)
@@ -193,4 +200,4 @@ def _turning_equations(rays, light, image, T, fx, fy, cx, cy):
             add_row(A, b, row, residual, 1.0)
             total += residual * residual
             count += 1
-    return A, b, total / count if count > len(rays) // 2 else np.inf
+    return mirrored(A), b, total / count if count > len(rays) // 2 else np.inf

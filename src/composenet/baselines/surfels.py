@@ -7,14 +7,27 @@ counts halved for images half as wide.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Self
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.baselines.frame_maps import LUMA, Maps, pinhole
-from composenet.geometry.camera import back_project
+from composenet.baselines.frame_maps import Maps, pinhole
+from composenet.baselines.surfel_images import (
+    COLOR,
+    CONFIDENCE,
+    N_VALUES,
+    NORMAL,
+    POINT,
+    RADIUS,
+    centres,
+    drawn,
+    moved,
+    pixel_of,
+    splatted,
+)
 from composenet.geometry.transform import inverse_T
 from composenet.records import Camera, FloatArray
 
@@ -22,6 +35,7 @@ MERGE_M = 0.05
 """a point farther along its ray from a surfel is another surface"""
 MERGE_RAD = 0.5
 """and so is one whose normal differs by more"""
+_MERGE_COSINE = float(np.cos(MERGE_RAD))
 COARSER = 1.5
 """a measurement with so many times the radius of a surfel confirms it, but moves it not"""
 FREE_SPACE_M = 0.01
@@ -30,42 +44,59 @@ UNSTABLE_FRAMES = 20
 """a surfel that has not become stable in this time is removed"""
 OTHERS_M = 0.05
 """a surfel this near to a pixel of another body may belong to that one"""
-_FACING = 0.1  # cosine: discs seen flatter than this are not drawn
 _GAUSS_PX, _TWO_SIGMA_SQUARED = 200.0, 0.72  # confidence falls off from the image's centre
 _CLEAR_PIXELS = 3  # of 3x3, that must show the surface behind
+_BORN, _SEEN = 0, 1  # columns of times
 
 
 class SurfelMap:
     """N discs in the body's axes. positions, normals: (N, 3) float32 metres. colors: (N, 3)
     float32 in 0..1, NaN where unknown. radii: (N,) metres. confidences: (N,). born, seen: (N,)
-    int32 frame numbers."""
+    int32 frame numbers. All are views of two tables, one row a disc."""
 
     def __init__(self) -> None:
-        self.positions = np.zeros((0, 3), np.float32)
-        self.normals = np.zeros((0, 3), np.float32)
-        self.colors = np.zeros((0, 3), np.float32)
-        self.radii = np.zeros(0, np.float32)
-        self.confidences = np.zeros(0, np.float32)
-        self.born = np.zeros(0, np.int32)
-        self.seen = np.zeros(0, np.int32)
+        self._values = np.zeros((0, N_VALUES), np.float32)
+        self._times = np.zeros((0, 2), np.int32)
 
     def __len__(self) -> int:
-        return len(self.positions)
+        return len(self._values)
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        return self._values[:, POINT : POINT + 3]
+
+    @property
+    def normals(self) -> NDArray[np.float32]:
+        return self._values[:, NORMAL : NORMAL + 3]
+
+    @property
+    def colors(self) -> NDArray[np.float32]:
+        return self._values[:, COLOR : COLOR + 3]
+
+    @property
+    def radii(self) -> NDArray[np.float32]:
+        return self._values[:, RADIUS]
+
+    @property
+    def confidences(self) -> NDArray[np.float32]:
+        return self._values[:, CONFIDENCE]
+
+    @property
+    def born(self) -> NDArray[np.int32]:
+        return self._times[:, _BORN]
+
+    @property
+    def seen(self) -> NDArray[np.int32]:
+        return self._times[:, _SEEN]
 
     def render(
         self, T_camera_body: FloatArray, camera: Camera, min_confidence: float = 0.0
     ) -> Maps:
         """What a camera would see of the stable surfels, as opaque discs."""
-        usable = self.confidences >= min_confidence
-        index, depth = _splatted(
-            self.positions, self.normals, self.radii, usable, T_camera_body, *pinhole(camera)
-        )
-        drawn = index >= 0
-        normals = np.zeros((*index.shape, 3), np.float32)
-        intensity = np.full(index.shape, np.nan, np.float32)
-        normals[drawn] = self.normals[index[drawn]] @ T_camera_body[:3, :3].T.astype(np.float32)
-        intensity[drawn] = self.colors[index[drawn]] @ LUMA
-        return Maps(back_project(depth, camera), normals, intensity, camera)
+        lens = pinhole(camera)
+        index, depth = splatted(self._values, min_confidence, T_camera_body, *lens)
+        points, normals, light = drawn(self._values, index, depth, T_camera_body, *lens[2:])
+        return Maps(points, normals, light, camera)
 
     def fuse(
         self,
@@ -79,16 +110,14 @@ class SurfelMap:
         """Average the pixels of the mask into the surfels they show, weighted by confidence;
         the others become new surfels. maps: measured. colors: (H, W, 3) float32 in 0..1."""
         lens = pinhole(maps.camera)
-        index = _centres(self.positions, T_camera_body, *lens)
-        usable = mask & maps.valid
-        gain = weight * _centredness(maps.camera)
-        T_body_camera = inverse_T(T_camera_body)
         new = _merged(
-            self.positions, self.normals, self.colors, self.radii, self.confidences, self.seen,
-            index, maps.points, maps.normals, colors, usable, gain,
-            T_camera_body, T_body_camera, *lens[2:], time,
+            self._values, self._times, centres(self._values, T_camera_body, *lens),
+            maps.points, maps.normals, colors, mask & maps.valid, _centredness(*lens), weight,
+            inverse_T(T_camera_body), lens[2], lens[3], time,
         )  # fmt: skip
-        self._append(maps, colors, new, gain, T_body_camera, time)
+        self._values = np.concatenate([self._values, new])
+        times = np.full((len(new), 2), time, np.int32)
+        self._times = np.concatenate([self._times, times])
         return self
 
     def clean(
@@ -103,123 +132,39 @@ class SurfelMap:
         """Remove what stayed unstable and what stands before a stable surface seen in this very
         frame; doubt what lies in another body's part of the image. depth: (H, W) measured.
         others: (H, W) float32 factor on the confidence of surfels there, 1 in this body's own."""
-        index = _centres(self.positions, T_camera_body, *pinhole(camera))
+        lens = pinhole(camera)
+        index = centres(self._values, T_camera_body, *lens)
         kept = _judged(
-            self.positions, self.confidences, self.born, self.seen, index,
-            depth.astype(np.float32), others, T_camera_body, *pinhole(camera)[2:],
-            time, min_confidence,
+            self._values, self._times, index, depth.astype(np.float32), others,
+            T_camera_body, *lens[2:], time, min_confidence,
         )  # fmt: skip
-        if not kept.all():
-            for name in ("positions", "normals", "colors", "radii", "confidences", "born", "seen"):
-                setattr(self, name, getattr(self, name)[kept])
+        if len(kept) < len(self):
+            self._values, self._times = self._values.take(kept, 0), self._times.take(kept, 0)
         return self
 
-    def _append(
-        self,
-        maps: Maps,
-        colors: NDArray[np.float32],
-        new: NDArray[np.bool_],
-        gain: NDArray[np.float32],
-        T_body_camera: FloatArray,
-        time: int,
-    ) -> None:
-        R, t = T_body_camera[:3, :3].astype(np.float32), T_body_camera[:3, 3].astype(np.float32)
-        points, normals = maps.points[new], maps.normals[new]
-        self.positions = np.concatenate([self.positions, points @ R.T + t])
-        self.normals = np.concatenate([self.normals, normals @ R.T])
-        self.colors = np.concatenate([self.colors, colors[new]])
-        self.radii = np.concatenate([self.radii, _disc_radii(points, normals, maps.camera)])
-        self.confidences = np.concatenate([self.confidences, gain[new]])
-        stamp = np.full(len(points), time, np.int32)
-        self.born = np.concatenate([self.born, stamp])
-        self.seen = np.concatenate([self.seen, stamp])
 
-
-def _centredness(camera: Camera) -> NDArray[np.float32]:
+@cache
+def _centredness(
+    height: int, width: int, _fx: float, _fy: float, cx: float, cy: float
+) -> NDArray[np.float32]:
     """(H, W) confidence of a measurement: lenses are best in the middle."""
-    v, u = np.mgrid[: camera.height, : camera.width]
-    square = (u - camera.K[0, 2]) ** 2 + (v - camera.K[1, 2]) ** 2
-    reach = _GAUSS_PX * camera.width / 320
+    v, u = np.mgrid[:height, :width]
+    square = (u - cx) ** 2 + (v - cy) ** 2
+    reach = _GAUSS_PX * width / 320
     return np.exp(-square / reach**2 / _TWO_SIGMA_SQUARED).astype(np.float32)
 
 
-def _disc_radii(points: FloatArray, normals: FloatArray, camera: Camera) -> NDArray[np.float32]:
-    """(P,) such that discs of neighbouring pixels leave no gap."""
-    focal = (camera.K[0, 0] + camera.K[1, 1]) / 2
-    facing = np.maximum(np.abs(normals[:, 2]), 0.5)
-    return (np.sqrt(2) * points[:, 2] / focal / facing).astype(np.float32)
+@numba.njit(cache=True, nogil=True)
+def _disc_radius(z, slant, focal):
+    """Such that discs of neighbouring pixels leave no gap. slant: the normal's z."""
+    return np.sqrt(2) * z / focal / max(abs(slant), 0.5)
 
 
 @numba.njit(cache=True, nogil=True)
-def _splatted(positions, normals, radii, usable, T, height, width, fx, fy, cx, cy):
-    """(H, W) the nearest disc at every pixel, -1 for none, and its z-depth there. Of discs in one
-    plane the one counts as nearest whose centre is."""
-    index = np.full((height, width), -1, np.int32)
-    depth = np.zeros((height, width), np.float32)
-    nearest = np.full((height, width), np.inf)
-    p, n = np.empty(3), np.empty(3)
-    for i in range(len(positions)):
-        if not usable[i]:
-            continue
-        for k in range(3):
-            p[k] = T[k, 3]
-            n[k] = 0.0
-            for j in range(3):
-                p[k] += T[k, j] * positions[i, j]
-                n[k] += T[k, j] * normals[i, j]
-        if p[2] < 0.1:
-            continue
-        plane = n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
-        if plane > -_FACING * np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2):
-            continue
-        u, v, reach = fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy, fx * radii[i] / p[2]
-        for y in range(max(0, int(np.ceil(v - reach))), min(height - 1, int(v + reach)) + 1):
-            for x in range(max(0, int(np.ceil(u - reach))), min(width - 1, int(u + reach)) + 1):
-                a, b = (x - cx) / fx, (y - cy) / fy
-                slope = n[0] * a + n[1] * b + n[2]
-                if slope > -1e-3:
-                    continue
-                z = plane / slope
-                away = (a * z - p[0]) ** 2 + (b * z - p[1]) ** 2 + (z - p[2]) ** 2
-                if away <= radii[i] ** 2 and z + np.sqrt(away) < nearest[y, x]:
-                    nearest[y, x] = z + np.sqrt(away)
-                    index[y, x] = i
-                    depth[y, x] = z
-    return index, depth
-
-
-@numba.njit(cache=True, nogil=True)
-def _pixel(T, position, fx, fy, cx, cy):
-    """Pixel and depth of a point; pixel (0, 0) if it is not well before the camera."""
-    x, y, z = position
-    pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-    if pz < 0.1:
-        return 0, 0, pz
-    px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-    py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-    return int(np.round(fx * px / pz + cx)), int(np.round(fy * py / pz + cy)), pz
-
-
-@numba.njit(cache=True, nogil=True)
-def _centres(positions, T, height, width, fx, fy, cx, cy):
-    """(H, W) the nearest surfel whose centre falls on the pixel, -1 for none."""
-    index = np.full((height, width), -1, np.int32)
-    depth = np.zeros((height, width), np.float32)
-    for i in range(len(positions)):
-        u, v, pz = _pixel(T, positions[i], fx, fy, cx, cy)
-        if pz < 0.1:
-            continue
-        if 0 <= u < width and 0 <= v < height and (index[v, u] < 0 or pz < depth[v, u]):
-            index[v, u] = i
-            depth[v, u] = pz
-    return index
-
-
-@numba.njit(cache=True, nogil=True)
-def _found(v, u, index, positions, normals, point, normal, T):
-    """The surfel nearest to the pixel's ray among those that may be the same surface, or -1."""
+def _found(v, u, index, values, eye, ray, normal, length):
+    """The surfel nearest to the pixel's ray among those that may be the same surface, or -1.
+    eye, ray (unit), normal: (3,) in the body's axes; length: metres along the ray."""
     height, width = index.shape
-    length = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
     best, nearest = -1, np.inf
     for y in range(max(0, v - 1), min(height, v + 2)):
         for x in range(max(0, u - 1), min(width, u + 2)):
@@ -228,14 +173,11 @@ def _found(v, u, index, positions, normals, point, normal, T):
                 continue
             along, square, cosine = 0.0, 0.0, 0.0
             for k in range(3):
-                p, n = T[k, 3], 0.0
-                for j in range(3):
-                    p += T[k, j] * positions[i, j]
-                    n += T[k, j] * normals[i, j]
-                along += p * point[k] / length
+                p = values[i, POINT + k] - eye[k]
+                along += p * ray[k]
                 square += p * p
-                cosine += n * normal[k]
-            if abs(along - length) < MERGE_M and cosine > np.cos(MERGE_RAD):
+                cosine += values[i, NORMAL + k] * normal[k]
+            if abs(along - length) < MERGE_M and cosine > _MERGE_COSINE:
                 aside = square - along * along
                 if aside < nearest:
                     best, nearest = i, aside
@@ -244,74 +186,81 @@ def _found(v, u, index, positions, normals, point, normal, T):
 
 @numba.njit(cache=True, nogil=True)
 def _merged(
-    positions, normals, colors, radii, confidences, seen,
-    index, points, point_normals, point_colors, usable, gain,
-    T, T_back, fx, fy, cx, cy, time,
-):  # fmt: skip
-    """Update the surfels in place; (H, W) the pixels that found none."""
+    values, times, index, points, normals, colors, usable, centredness, weight, T, fx, fy, time
+):
+    """Update the surfels in place; (P, 11) rows of pixels that found none. T: T_body_camera."""
     height, width = index.shape
-    new = np.zeros((height, width), np.bool_)
-    focal = (fx + fy) / 2
+    new = np.zeros((usable.sum(), N_VALUES), np.float32)
+    count, focal = 0, (fx + fy) / 2
+    eye, point, normal, ray = T[:3, 3].copy(), np.empty(3), np.empty(3), np.empty(3)
     for v in range(height):
         for u in range(width):
             if not usable[v, u]:
                 continue
-            point, normal = points[v, u], point_normals[v, u]
-            i = _found(v, u, index, positions, normals, point, normal, T)
+            x, y, z = points[v, u]
+            a, b, c = normals[v, u]
+            length = np.sqrt(x**2 + y**2 + z**2)
+            for k in range(3):
+                away = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z
+                point[k], ray[k] = eye[k] + away, away / length
+                normal[k] = T[k, 0] * a + T[k, 1] * b + T[k, 2] * c
+            gain, radius = weight * centredness[v, u], _disc_radius(z, c, focal)
+            i = _found(v, u, index, values, eye, ray, normal, length)
             if i < 0:
-                new[v, u] = True
+                _blend(new[count], point, normal, colors[v, u], radius, 1.0)
+                new[count, CONFIDENCE] = gain
+                count += 1
                 continue
-            old, add = confidences[i], gain[v, u]
-            share = add / (old + add)
-            radius = np.sqrt(2) * point[2] / focal / max(abs(normal[2]), 0.5)
-            confidences[i] = old + add
-            seen[i] = time
-            if radius >= COARSER * radii[i]:
-                continue
-            radii[i] += share * (radius - radii[i])
-            square = 0.0
-            for k in range(3):
-                p, n = T_back[k, 3], 0.0
-                for j in range(3):
-                    p += T_back[k, j] * point[j]
-                    n += T_back[k, j] * normal[j]
-                positions[i, k] += share * (p - positions[i, k])
-                normals[i, k] += share * (n - normals[i, k])
-                colors[i, k] += share * (point_colors[v, u, k] - colors[i, k])
-                square += normals[i, k] ** 2
-            for k in range(3):
-                normals[i, k] /= np.sqrt(square)
-    return new
+            share = gain / (values[i, CONFIDENCE] + gain)
+            values[i, CONFIDENCE] += gain
+            times[i, _SEEN] = time
+            if radius < COARSER * values[i, RADIUS]:
+                _blend(values[i], point, normal, colors[v, u], radius, share)
+    return new[:count]
 
 
 @numba.njit(cache=True, nogil=True)
-def _judged(
-    positions, confidences, born, seen, index, depth, others,
-    T, fx, fy, cx, cy, time, min_confidence,
-):  # fmt: skip
-    """(N,) which surfels to keep; confidences of those in others' pixels fall."""
+def _blend(row, point, normal, color, radius, share):
+    """Move a surfel's row towards a measurement; share 1 replaces it."""
+    square = 0.0
+    for k in range(3):
+        row[POINT + k] += share * (point[k] - row[POINT + k])
+        row[NORMAL + k] += share * (normal[k] - row[NORMAL + k])
+        row[COLOR + k] += share * (color[k] - row[COLOR + k])
+        square += row[NORMAL + k] ** 2
+    for k in range(3):
+        row[NORMAL + k] /= np.sqrt(square)
+    row[RADIUS] += share * (radius - row[RADIUS])
+
+
+@numba.njit(cache=True, nogil=True)
+def _judged(values, times, index, depth, others, T, fx, fy, cx, cy, time, min_confidence):
+    """Which surfels to keep, their numbers; confidences of those in others' pixels fall."""
     height, width = depth.shape
-    kept = np.ones(len(positions), np.bool_)
-    for i in range(len(positions)):
-        if confidences[i] < min_confidence and time - born[i] > UNSTABLE_FRAMES:
-            kept[i] = False
+    kept, count = np.empty(len(values), np.int64), 0
+    for i in range(len(values)):
+        if values[i, CONFIDENCE] < min_confidence and time - times[i, _BORN] > UNSTABLE_FRAMES:
             continue
-        u, v, pz = _pixel(T, positions[i], fx, fy, cx, cy)
-        if pz < 0.1:
-            continue
-        if not (0 <= u < width and 0 <= v < height):
-            continue
-        if abs(depth[v, u] - pz) < OTHERS_M:
-            confidences[i] *= others[v, u]
-        if seen[i] == time:
-            continue
+        kept[count] = i
+        u, v, pz = pixel_of(T, values, i, fx, fy, cx, cy)
         behind = 0
-        for b in range(max(0, v - 1), min(height, v + 2)):
-            for a in range(max(0, u - 1), min(width, u + 2)):
-                j = index[b, a]
-                if j >= 0 and seen[j] == time and confidences[j] > min_confidence:
-                    far = T[2, 0] * positions[j, 0] + T[2, 1] * positions[j, 1]
-                    far += T[2, 2] * positions[j, 2] + T[2, 3]
-                    behind += far - pz > FREE_SPACE_M
-        kept[i] = behind < _CLEAR_PIXELS
-    return kept
+        if pz >= 0.1 and 0 <= u < width and 0 <= v < height:
+            if abs(depth[v, u] - pz) < OTHERS_M:
+                values[i, CONFIDENCE] *= others[v, u]
+            if times[i, _SEEN] != time:
+                behind = _seen_behind(v, u, pz, values, times, index, T, time, min_confidence)
+        count += behind < _CLEAR_PIXELS
+    return kept[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _seen_behind(v, u, z, values, times, index, T, time, min_confidence):
+    """Of 3x3 pixels, those that show a stable surfel of this frame well behind a depth."""
+    height, width = index.shape
+    count = 0
+    for y in range(max(0, v - 1), min(height, v + 2)):
+        for x in range(max(0, u - 1), min(width, u + 2)):
+            i = index[y, x]
+            if i >= 0 and times[i, _SEEN] == time and values[i, CONFIDENCE] > min_confidence:
+                count += moved(T, values, i, POINT, 1.0)[2] - z > FREE_SPACE_M
+    return count

@@ -20,6 +20,7 @@ from composenet.baselines.photometric_icp import (
     add_row,
     geometric_row,
     increment,
+    mirrored,
     move_into,
     photometric_row,
 )
@@ -47,8 +48,7 @@ def align_weighted(
     scale = frame[0].camera.width / 320
     for halved in reversed(range(len(frame))):
         view, level = views[halved], frame[halved]
-        used = kept[:: 2**halved, :: 2**halved] & view.valid
-        surface = view.points[used], view.normals[used], view.intensity[used]
+        surface = view.chosen(kept[:: 2**halved, :: 2**halved] & view.valid)
         before, least = T, np.inf
         for _ in range(ITERATIONS[halved]):
             A, b, cost, pairs = _weighted_equations(
@@ -75,8 +75,7 @@ def share_at_rest(view: Maps, kept: NDArray[np.bool_], frame: Maps, T: FloatArra
     if not used.any():
         return 1.0
     against = _outliers(
-        view.points[used], view.normals[used], view.intensity[used],
-        frame.points, frame.normals, frame.intensity, T,
+        *view.chosen(used), frame.points, frame.normals, frame.intensity, T,
         frame.camera.width / 320, *pinhole(frame.camera)[2:],
     )  # fmt: skip
     return 1 - against / int(used.sum())
@@ -153,7 +152,7 @@ def _weighted_equations(
                 add_row(A, b, row, residual, 1 / (SIGMA_LIGHT**2 * (1 + (ratio / _CAUCHY) ** 2)))
                 cost += _cauchy(ratio)
                 terms += 1
-    return A, b, cost / terms if terms else np.inf, pairs
+    return mirrored(A), b, cost / terms if terms else np.inf, pairs
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
