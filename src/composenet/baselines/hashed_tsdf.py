@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.baselines.frame_maps import Maps, pinhole
-from composenet.baselines.tsdf_raycast import LIGHT, OWN, TSDF, WEIGHT, cast_rays, depth_ranges
+from composenet.baselines.tsdf_raycast import (
+    LIGHT,
+    MIN_OWN,
+    OWN,
+    TSDF,
+    WEIGHT,
+    cast_rays,
+    depth_ranges,
+)
 from composenet.baselines.voxel_blocks import SIDE, allocate_along_rays, empty_table, fill_table
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import inverse_T
@@ -24,8 +32,6 @@ from composenet.records import Camera, FloatArray
 
 MAX_WEIGHT = 100.0
 """frames that the past weighs at most"""
-MIN_OWN = 0.5
-"""a voxel that was the body's own in no larger share of its frames is not shown"""
 _SURFACE = 0.5  # of the truncation: voxels this near the surface have their place measured
 
 
@@ -75,12 +81,10 @@ class HashedTsdf:
         """What a camera would see of the body: its surface, from outside."""
         block_m = SIDE * self.voxel_size_m
         near, far = depth_ranges(self.coords, block_m, T_camera_body, *pinhole(camera))
-        points, normals, light, own = cast_rays(
+        points, normals, light = cast_rays(
             self._keys, self._slots, self._voxels, self.voxel_size_m, self.truncation_m,
             near, far, inverse_T(T_camera_body), *pinhole(camera),
         )  # fmt: skip
-        hidden = own <= MIN_OWN
-        points[hidden], normals[hidden], light[hidden] = 0, 0, np.nan
         return Maps(points, normals, light, camera)
 
     def surface(self) -> NDArray[np.float64]:
@@ -104,7 +108,8 @@ class HashedTsdf:
     def _grow(self) -> None:
         """Twice as many blocks, in a table twice as large."""
         self._coords = np.concatenate([self._coords, np.zeros_like(self._coords)])
-        self._voxels = np.concatenate([self._voxels, np.zeros_like(self._voxels)])
+        voxels, self._voxels = self._voxels, np.zeros((len(self._coords), SIDE**3, 4), np.float32)
+        self._voxels[: len(voxels)] = voxels  # memory of the rest is taken when it is written to
         self._keys, self._slots = empty_table(2 * len(self._keys))
         fill_table(self._keys, self._slots, self.coords)
 

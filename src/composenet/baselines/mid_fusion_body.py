@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, map_coordinates
@@ -107,17 +108,40 @@ def voxel_size(object_size_m: float) -> float:
 
 def composed(views: Sequence[Maps]) -> View:
     """The nearest of what one camera sees of each body, the background first."""
-    shape = views[0].points.shape[:2]
-    points, normals = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
-    light, shown = np.full(shape, np.nan, np.float32), np.full(shape, -1, np.int32)
-    depth = np.full(shape, np.inf)
+    nearest = Maps(
+        np.zeros_like(views[0].points),
+        np.zeros_like(views[0].normals),
+        np.full_like(views[0].intensity, np.nan),
+        views[0].camera,
+    )
+    shape = nearest.intensity.shape
+    shown, depth = np.full(shape, -1, np.int32), np.full(shape, np.inf)
     for number, view in enumerate(views):
-        z = np.where(view.valid, view.points[..., 2] + (0 if number else BEHIND_M), np.inf)
-        nearer = z < depth
-        depth[nearer], shown[nearer] = z[nearer], number
-        points[nearer], normals[nearer] = view.points[nearer], view.normals[nearer]
-        light[nearer] = view.intensity[nearer]
-    return View(Maps(points, normals, light, views[0].camera), shown)
+        _compose(
+            view.points, view.normals, view.intensity, number, 0 if number else BEHIND_M,
+            nearest.points, nearest.normals, nearest.intensity, shown, depth,
+        )  # fmt: skip
+    return View(nearest, shown)
+
+
+@numba.njit(cache=True, nogil=True)
+def _compose(
+    points, normals, light, number, behind_m,
+    best_points, best_normals, best_light, shown, depth,
+):  # fmt: skip
+    """Put a body before what is farther away, in place."""
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            z = points[v, u, 2]
+            if z <= 0 or z + behind_m >= depth[v, u]:
+                continue
+            if normals[v, u, 0] == 0 and normals[v, u, 1] == 0 and normals[v, u, 2] == 0:
+                continue
+            depth[v, u], shown[v, u], best_light[v, u] = z + behind_m, number, light[v, u]
+            for k in range(3):
+                best_points[v, u, k] = points[v, u, k]
+                best_normals[v, u, k] = normals[v, u, k]
 
 
 def with_brightness(surface: Maps, frame: Maps, T_frame_surface: FloatArray) -> Maps:

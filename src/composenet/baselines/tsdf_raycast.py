@@ -10,6 +10,8 @@ from composenet.baselines.voxel_blocks import SIDE, block_at
 TSDF, WEIGHT, LIGHT, OWN = range(4)
 """The channels of a voxel: distance / truncation, frames seen, brightness, share of those frames
 in which it was the body's own."""
+MIN_OWN = 0.5
+"""a voxel that was the body's own in no larger share of its frames is not shown"""
 _TILE = 8  # pixels
 _NEAR_M = 0.1
 _CAUTION = 0.7  # of the distance to the surface, in one step
@@ -64,19 +66,23 @@ def blended(keys, slots, voxels, channel, x, y, z):
     a, b, c = x - i, y - j, z - k
     bx, by, bz = i >> 3, j >> 3, k >> 3
     block = block_at(keys, slots, bx, by, bz)
+    first = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
+    within = (i & 7) < 7 and (j & 7) < 7 and (k & 7) < 7  # one block holds all eight
+    if within and block < 0:
+        return np.nan
     total, weights = 0.0, 0.0
     for corner in range(8):
         di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-        weight = (a * di + (1 - a) * (1 - di)) * (b * dj + (1 - b) * (1 - dj))
-        weight *= c * dk + (1 - c) * (1 - dk)
-        cx, cy, cz = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
-        number = block
-        if cx != bx or cy != by or cz != bz:
-            number = block_at(keys, slots, cx, cy, cz)
-        if number < 0:
-            continue
-        inner = (((i + di) & 7) << 6) | (((j + dj) & 7) << 3) | ((k + dk) & 7)
+        number, inner = block, first + (di << 6) + (dj << 3) + dk
+        if not within:
+            cx, cy, cz = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
+            if cx != bx or cy != by or cz != bz:
+                number = block_at(keys, slots, cx, cy, cz)
+            if number < 0:
+                continue
+            inner = (((i + di) & 7) << 6) | (((j + dj) & 7) << 3) | ((k + dk) & 7)
         if voxels[number, inner, WEIGHT] > 0:
+            weight = (a if di else 1 - a) * (b if dj else 1 - b) * (c if dk else 1 - c)
             total += weight * voxels[number, inner, channel]
             weights += weight
     return total / weights if weights >= _MIN_CORNERS else np.nan
@@ -86,12 +92,12 @@ def blended(keys, slots, voxels, channel, x, y, z):
 def cast_rays(
     keys, slots, voxels, voxel_m, truncation_m, near, far, T, height, width, fx, fy, cx, cy
 ):
-    """The surface at every pixel: points and unit normals (H, W, 3) float32 in camera axes, and
-    brightness and own share (H, W); 0 where there is none. near, far: from `depth_ranges`.
+    """The body's surface at every pixel: points and unit normals (H, W, 3) float32 in camera axes,
+    0 where there is none, and brightness (H, W), NaN there. near, far: from `depth_ranges`.
     T: T_body_camera."""
     points = np.zeros((height, width, 3), np.float32)
     normals = np.zeros((height, width, 3), np.float32)
-    light, own = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    light = np.full((height, width), np.nan, np.float32)
     ox, oy, oz = T[0, 3] / voxel_m, T[1, 3] / voxel_m, T[2, 3] / voxel_m
     for v in range(height):
         for u in range(width):
@@ -106,6 +112,8 @@ def cast_rays(
             if z <= 0:
                 continue
             px, py, pz = ox + z * dx, oy + z * dy, oz + z * dz
+            if not blended(keys, slots, voxels, OWN, px, py, pz) > MIN_OWN:
+                continue
             gx = gy = gz = 0.0
             for side in (-1.0, 1.0):
                 gx += side * blended(keys, slots, voxels, TSDF, px + side, py, pz)
@@ -115,11 +123,10 @@ def cast_rays(
             if not length > 1e-6:
                 continue
             light[v, u] = blended(keys, slots, voxels, LIGHT, px, py, pz)
-            own[v, u] = blended(keys, slots, voxels, OWN, px, py, pz)
             points[v, u, 0], points[v, u, 1], points[v, u, 2] = x * z, y * z, z
             for k in range(3):
                 normals[v, u, k] = (T[0, k] * gx + T[1, k] * gy + T[2, k] * gz) / length
-    return points, normals, light, own
+    return points, normals, light
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
