@@ -16,11 +16,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+import composenet
 from composenet import cli
 from composenet.baselines import registry
 from composenet.baselines.records import Cameras
 from composenet.commands import bench, jobs
-from composenet.commands.score_cache import ScoreCache
+from composenet.commands.score_cache import ScoreCache, sources_of
 from composenet.commands.scoring import VARIANTS, ScoredSequence
 from composenet.errors import DataError, WeightsError
 from composenet.metrics.clear import ClearScores
@@ -150,7 +151,7 @@ def test_a_process_that_dies_takes_no_other_sequence_along(tmp_path: Path) -> No
         (tmp_path / name).mkdir()
         (tmp_path / name / "annotations.json").write_text("{}")
     folders = [tmp_path / name for name in names]
-    cache = ScoreCache(tmp_path / "kept", Path(os.devnull))
+    cache = ScoreCache(tmp_path / "kept", [], Path(os.devnull))
     outcomes = jobs.run_jobs(["row"], folders, dies_of_one, cache, 1, Console(quiet=True))
     assert list(outcomes) == [("row", folder) for folder in folders]  # in order, none dropped
     first, broken, deadly, last = outcomes.values()
@@ -252,3 +253,19 @@ def test_it_explains_itself(run, capsys) -> None:
     text = " ".join(capsys.readouterr().out.split())
     assert "usage: composenet bench" in text and "--camera" in text
     assert all(name in text for name in bench.METHODS)
+
+
+def test_what_a_row_is_made_of() -> None:
+    """Its own code and what that imports, lazily or not; no other system's, and nothing of ours."""
+    package = Path(composenet.__file__).parent
+
+    def made_of(name: str) -> set[str]:
+        return {str(p.relative_to(package)) for p in sources_of(*bench._made_by(name))}
+
+    fusion, ours = made_of("maskfusion"), made_of("full")
+    assert {"baselines/surfels.py", "baselines/mask_rcnn_network.py", "errors.py"} <= fusion
+    assert {"metrics/clear.py", "geometry/__init__.py", "commands/rows.py"} <= fusion
+    assert not {"pipeline.py", "network/model.py", "baselines/mid_fusion.py"} & fusion
+    assert "baselines/mask_rcnn_network.py" not in made_of("maskfusion-gt-masks")
+    assert {"pipeline.py", "network/sparse.py", "tracking/tracker.py"} <= ours
+    assert "baselines/surfels.py" not in ours

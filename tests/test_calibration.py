@@ -148,7 +148,7 @@ def answered(folder: Path, confidence: float) -> ScoredSequence:
 def kept(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An evaluation's folder."""
     out = tmp_path_factory.mktemp("scores")
-    cache = ScoreCache(out / "sequences", tiny_weights, "cpu")
+    cache = ScoreCache(out / "sequences", [], tiny_weights, "cpu")
     sequences = sorted(recordings.glob("val_*"))
     scored = [answered(folder, 0.9) for folder in sequences]
     for folder, item in zip(sequences, scored, strict=True):

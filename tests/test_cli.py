@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from composenet import cli
-from composenet.commands import evaluate, jobs
+from composenet.commands import jobs
 from composenet.commands.score_cache import ScoreCache
 from composenet.errors import DataError
 from composenet.predictions import read_predictions
@@ -231,13 +231,15 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     before = numbers(one)
     (one / "sequences" / "val_00001.full.pkl").unlink()  # only this one is scored again
     asked = []
-    real = evaluate.score_variants
+    real = variants.score_variants
 
-    def noted(folder: Path, variants: tuple[str, ...], **others: object):
-        asked.append((folder.name, variants))
-        return real(folder, variants, **others)
+    def noted(folder: Path, names: tuple[str, ...], **others: object):
+        asked.append((folder.name, names))
+        return real(folder, names, **others)
 
-    monkeypatch.setattr(evaluate, "score_variants", noted)
+    noted.__module__ = real.__module__
+
+    monkeypatch.setattr(variants, "score_variants", noted)
     assert run(*again) == 0
     assert asked == [("val_00001", ("full",))] and numbers(one) == before
     # A variant gives the same beside others, and only what is missing is asked for.
@@ -268,24 +270,31 @@ def test_one_bad_sequence_does_not_stop_the_others(
     assert capsys.readouterr().err.count("not scored") == 2
 
 
+CODE = ["composenet.commands.rows"]
+
+
 def test_scores_are_kept_only_for_what_made_them(tmp_path: Path, recordings: Path) -> None:
     weights, sequence = tmp_path / "w", tmp_path / "val_00000"
     weights.write_bytes(b"weights")
     sequence.mkdir()
     (sequence / "annotations.json").write_text("{}")
     folder = tmp_path / "kept"
-    ScoreCache(folder, weights, "cpu", False).save(sequence, "full", "scores")  # type: ignore[arg-type]
-    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") == "scores"
-    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "no-corr") is None
-    assert ScoreCache(folder, weights, "cpu", True).load(sequence, "full") is None
+    ScoreCache(folder, CODE, weights, "cpu", False).save(sequence, "full", "scores")  # type: ignore[arg-type]
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") == "scores"
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "no-corr") is None
+    assert ScoreCache(folder, CODE, weights, "cpu", True).load(sequence, "full") is None
     (sequence / "annotations.json").write_text("[]")
-    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") is None
     (sequence / "annotations.json").write_text("{}")
     weights.write_bytes(b"better")
-    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") is None
+    ours = ["composenet.commands.variants"]
+    weights.write_bytes(b"weights")
+    ScoreCache(folder, CODE, weights, "cpu", False).save(sequence, "full", "scores")  # type: ignore[arg-type]
+    assert ScoreCache(folder, ours, weights, "cpu", False).load(sequence, "full") is None
     # A pickle of another origin is not even opened.
     (folder / "val_00000.full.pkl").write_bytes(pickle.dumps(DataError("no")))
-    assert ScoreCache(folder, weights, "cpu", False).load(sequence, "full") is None
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") is None
 
 
 def test_ctrl_c_keeps_the_frames_that_are_done(

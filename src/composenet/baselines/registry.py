@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_to_frame import FrameToFrame
 from composenet.baselines.mask_fusion import MaskFusion
-from composenet.baselines.mask_rcnn import MaskRcnnMasks, mask_rcnn_weights
+from composenet.baselines.mask_rcnn import mask_rcnn_masks, mask_rcnn_weights
 from composenet.baselines.mid_fusion import MidFusion
 from composenet.baselines.records import Row
 from composenet.baselines.true_masks import TrueMasks
 
-
-def _mask_rcnn(_folder: Path) -> MaskRcnnMasks:
-    return MaskRcnnMasks()
-
-
 ROWS: dict[str, Row] = {
     "f2f-gt": Row(FrameToFrame, TrueMasks, told="true masks, classes and identities"),
-    "f2f-mask-rcnn": Row(FrameToFrame, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
+    "f2f-mask-rcnn": Row(FrameToFrame, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
     "maskfusion-gt-masks": Row(
         MaskFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
-    "maskfusion": Row(MaskFusion, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
+    "maskfusion": Row(MaskFusion, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
     "midfusion-gt-masks": Row(
         MidFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
-    "midfusion": Row(MidFusion, _mask_rcnn, told="nothing", weights=mask_rcnn_weights),
+    "midfusion": Row(MidFusion, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
 }
 """By name, in the table's order."""

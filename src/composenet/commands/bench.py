@@ -14,24 +14,18 @@ from rich.console import Console
 from composenet.baselines.ours import OwnCamera, no_masks
 from composenet.baselines.records import Cameras, Row
 from composenet.baselines.registry import ROWS
-from composenet.baselines.run import run_system
-from composenet.baselines.start_shift import start_at_true_centres
 from composenet.commands.bench_page import write_page
 from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines, run_jobs
+from composenet.commands.rows import score_system
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     VARIANTS,
     ScoredSequence,
-    moved_truth,
-    score_tracks,
-    score_variants,
     sequence_folders,
     tall_table,
 )
 from composenet.errors import DataError, WeightsError
 from composenet.metrics.report import RunInfo, sections, write_results
-from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
 
 METHODS = (*ROWS, *reversed(VARIANTS))
 """Rows of the table, in its order."""
@@ -68,9 +62,10 @@ def run_bench(
     names = list(made_of)
     outcomes: dict[Job, Outcome] = {}
     work = partial(score_methods, asked=asked)
-    for together in _run_together(names, camera):
-        file = made_of[together[0]]
-        cache = ScoreCache(out / "sequences", file or Path(os.devnull), camera, device)
+    own = [name for name in names if _ours_together(name, camera)]
+    for together in (*([name] for name in names if name not in own), *([own] if own else [])):
+        file = made_of[together[0]] or Path(os.devnull)
+        cache = ScoreCache(out / "sequences", _made_by(together[0]), file, camera, device)
         outcomes |= run_jobs(together, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)
     if scores:
@@ -96,35 +91,31 @@ def chosen_methods(asked: Sequence[str]) -> list[str]:
     return [name for name in METHODS if "all" in asked or name in asked]
 
 
-def _run_together(names: Sequence[str], cameras: Cameras) -> list[list[str]]:
-    """Rows that share work: our variants, as long as they see with the same cameras."""
-    own = [name for name in names if name in VARIANTS and cameras is Cameras.GIVEN]
-    return [*([name] for name in names if name not in own), *([own] if own else [])]
-
-
 def score_methods(folder: Path, names: Sequence[str], *, asked: Asked) -> dict[str, ScoredSequence]:
     """Some rows over one sequence."""
-    if set(names) <= set(VARIANTS) and asked.cameras is Cameras.GIVEN:
-        assert asked.weights is not None
-        return score_variants(folder, names, weights=asked.weights, device=asked.device)
-    return {name: _score_row(folder, name, asked) for name in names}
+    if not _ours_together(names[0], asked.cameras):
+        rows = {name: ROWS[name] if name in ROWS else _own_row(name, asked) for name in names}
+        return {
+            name: score_system(folder, row, asked.cameras, shifted=name in ROWS)
+            for name, row in rows.items()
+        }
+    from composenet.commands.variants import score_variants
+
+    assert asked.weights is not None
+    return score_variants(folder, names, weights=asked.weights, device=asked.device)
 
 
-def _score_row(folder: Path, name: str, asked: Asked) -> ScoredSequence:
-    row = ROWS[name] if name in ROWS else _own_row(name, asked)
-    return score_system(folder, row, asked.cameras, shifted=name in ROWS)
+def _ours_together(name: str, cameras: Cameras) -> bool:
+    """Our variants share work, as long as they see with the same cameras."""
+    return name in VARIANTS and cameras is Cameras.GIVEN
 
 
-def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> ScoredSequence:
-    """Track one sequence and score the tracks. shifted: they begin at the true centres."""
-    sequence = open_sequence(folder)
-    run = run_system(row.make(cameras), row.masks(folder), sequence, cameras)
-    truth = moved_truth(read_truth(folder), sequence.T_level_source)
-    # Frames that could not be read count as seen by nobody.
-    tracked = [run.tracked.get(index, ()) for index in range(len(truth.frames))]
-    if shifted:
-        tracked = start_at_true_centres(truth, tracked)
-    return score_tracks(truth, tracked, seconds_per_frame=run.seconds)
+def _made_by(name: str) -> list[str]:
+    """The modules that score a row (see `ScoreCache`)."""
+    if name in ROWS:
+        row = ROWS[name]
+        return [score_system.__module__, row.make.__module__, row.masks.__module__]
+    return [score_system.__module__, OwnCamera.__module__, "composenet.commands.variants"]
 
 
 def _checked(names: Sequence[str], asked: Asked) -> Asked:

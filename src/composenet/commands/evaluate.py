@@ -17,7 +17,6 @@ from composenet.commands.scoring import (
     ScoredSequence,
     moved_truth,
     score_tracks,
-    score_variants,
     sequence_folders,
     tall_table,
 )
@@ -52,11 +51,12 @@ def run_eval(
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
     else:
+        from composenet.commands.variants import score_variants
         from composenet.pipeline import load_tracker
 
         weights = weights or default_weights()
         load_tracker(weights, device=device)  # what is wrong with them is said once
-        cache = ScoreCache(out / "sequences", weights, device, offline)
+        cache = ScoreCache(out / "sequences", [score_variants.__module__], weights, device, offline)
         work = partial(score_variants, weights=weights, device=device, offline=offline)
         names = list(dict.fromkeys(variants))
         outcomes = run_jobs(names, folders, work, cache, workers, console)

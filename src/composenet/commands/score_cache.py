@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import composenet
@@ -13,13 +14,19 @@ from composenet.commands.scoring import ScoredSequence
 
 class ScoreCache:
     """One file a sequence and variant, used again only where all that made it is unchanged: the
-    weights, the options, the package's own code and the sequence's ground truth."""
+    weights, the options, the code and the sequence's ground truth.
 
-    def __init__(self, folder: Path, weights: Path, *options: object) -> None:
+    made_by: the modules that make the scores; their code and that of all they import from this
+    package counts, so that a change of ours does not undo hours of another system's.
+    """
+
+    def __init__(
+        self, folder: Path, made_by: Sequence[str], weights: Path, *options: object
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self._common = hashlib.sha256(repr(options).encode())
-        for path in (weights, *_sources()):
+        for path in (weights, *sources_of(*made_by)):
             self._common.update(hashlib.sha256(path.read_bytes()).digest())
 
     def load(self, sequence: Path, variant: str) -> ScoredSequence | None:
@@ -55,5 +62,31 @@ def kept_sequences(folder: Path) -> Iterator[tuple[str, str, ScoredSequence]]:
         yield name, variant, pickle.loads(path.read_bytes().partition(b"\n")[2])
 
 
-def _sources() -> list[Path]:
-    return sorted(Path(composenet.__file__).parent.rglob("*.py"))
+def sources_of(*modules: str) -> list[Path]:
+    """The files of this package that modules of it are made of: their own and those of all that
+    they import, wherever in their code, directly or not; by path."""
+    found: dict[str, Path] = {}
+    waiting = [*modules]
+    while waiting:
+        name = waiting.pop()
+        if name in found or (path := _file_of(name)) is None:
+            continue
+        found[name] = path
+        waiting.append(name.rpartition(".")[0])  # a package's own file runs first
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                waiting += [node.module, *(f"{node.module}.{part.name}" for part in node.names)]
+            elif isinstance(node, ast.Import):
+                waiting += [part.name for part in node.names]
+    return sorted(found.values())
+
+
+def _file_of(module: str) -> Path | None:
+    """Of a module of this package; None for anything else, and for the package itself, which only
+    hands on."""
+    package, *parts = module.split(".")
+    if package != composenet.__name__ or not parts:
+        return None
+    base = Path(composenet.__file__).parent.joinpath(*parts)
+    files = (base / "__init__.py", base.with_suffix(".py"))
+    return next((path for path in files if path.is_file()), None)

@@ -1,13 +1,12 @@
-"""What `composenet eval` and `composenet bench` share: sequences, and our tracker scored on one."""
+"""What `composenet eval` and `composenet bench` share: sequences, and tracks scored on one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from rich.table import Table
 
 from composenet.errors import DataError
@@ -22,14 +21,8 @@ from composenet.records import (
     ObjectEstimate,
     ObjectFrameTruth,
     SequenceTruth,
-    Track,
     TrackedObject,
 )
-from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
-
-if TYPE_CHECKING:
-    from composenet.pipeline import FrameResult
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "full": {},
@@ -82,61 +75,6 @@ def sequence_folders(data: Path) -> list[Path]:
     if not folders:
         raise DataError(f"{data}: no sequence with an annotations.json in it, nothing to score")
     return folders
-
-
-def score_variants(
-    folder: Path, variants: Sequence[str], *, weights: Path, device: str, offline: bool = False
-) -> dict[str, ScoredSequence]:
-    """Track one sequence with several variants, which share what they see alike, and score each.
-    Ground truth is read by the scorer only.
-
-    One compute thread: sums are then taken in the same order on every machine.
-    """
-    import torch
-
-    from composenet.pipeline import load_tracker
-
-    torch.set_num_threads(1)
-    eyes = load_tracker(weights, device=device, offline=offline)
-    trackers = {variant: eyes.restart(**VARIANTS[variant]) for variant in variants}
-    results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
-    sequence = open_sequence(folder)
-    frames = list(sequence)
-    for frame in frames:
-        sight = eyes.look(frame)
-        for variant, tracker in trackers.items():
-            results[variant][frame.index] = tracker.follow(sight)
-    truth = moved_truth(read_truth(folder), sequence.T_level_source)
-    return {
-        variant: _score(truth, frames, results[variant], tracker.tracks(), offline)
-        for variant, tracker in trackers.items()
-    }
-
-
-def _score(
-    truth: SequenceTruth,
-    frames: Sequence[Frame],
-    results: Mapping[int, FrameResult],
-    tracks: Sequence[Track],
-    offline: bool,
-) -> ScoredSequence:
-    """One variant over one sequence; results by frame index."""
-    seconds = [sum(result.timings_ms.values()) / 1e3 for result in results.values()]
-    tracked = {index: result.objects for index, result in results.items()}
-    if offline:
-        histories = [entry for track in tracks for entry in track.history]
-        tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
-    blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
-    shown = {frame.index: frame for frame in frames}
-    every = range(len(truth.frames))  # frames that could not be read count as seen by nobody
-    return score_tracks(
-        truth,
-        [tracked.get(i, ()) for i in every],
-        [results[i].estimates if i in results else () for i in every],
-        frames=[shown.get(i, blank) for i in every],
-        seconds_per_frame=seconds,
-        canonical={track.track_id: track.canonical for track in tracks},
-    )
 
 
 def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTruth:

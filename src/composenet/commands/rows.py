@@ -1,0 +1,24 @@
+"""A comparison system of the benchmark's table, scored on a sequence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from composenet.baselines.records import Cameras, Row
+from composenet.baselines.run import run_system
+from composenet.baselines.start_shift import start_at_true_centres
+from composenet.commands.scoring import ScoredSequence, moved_truth, score_tracks
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import read_truth
+
+
+def score_system(folder: Path, row: Row, cameras: Cameras, *, shifted: bool) -> ScoredSequence:
+    """Track one sequence and score the tracks. shifted: they begin at the true centres."""
+    sequence = open_sequence(folder)
+    run = run_system(row.make(cameras), row.masks(folder), sequence, cameras)
+    truth = moved_truth(read_truth(folder), sequence.T_level_source)
+    # Frames that could not be read count as seen by nobody.
+    tracked = [run.tracked.get(index, ()) for index in range(len(truth.frames))]
+    if shifted:
+        tracked = start_at_true_centres(truth, tracked)
+    return score_tracks(truth, tracked, seconds_per_frame=run.seconds)
