@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from composenet import cli
-from composenet.commands import jobs
+from composenet.commands import jobs, variants
 from composenet.commands.score_cache import ScoreCache
 from composenet.errors import DataError
 from composenet.predictions import read_predictions

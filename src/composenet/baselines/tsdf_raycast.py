@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from composenet.baselines.voxel_blocks import SIDE, block_at
+from composenet.baselines.voxel_blocks import SIDE, block_at, block_key, block_of
 
 TSDF, WEIGHT, LIGHT, OWN = range(4)
 """The channels of a voxel: distance / truncation, frames seen, brightness, share of those frames
@@ -99,33 +99,36 @@ def cast_rays(
     normals = np.zeros((height, width, 3), np.float32)
     light = np.full((height, width), np.nan, np.float32)
     ox, oy, oz = T[0, 3] / voxel_m, T[1, 3] / voxel_m, T[2, 3] / voxel_m
-    for v in range(height):
-        for u in range(width):
-            low, high = near[v // _TILE, u // _TILE], far[v // _TILE, u // _TILE]
-            if low >= high:
-                continue
-            x, y = (u - cx) / fx, (v - cy) / fy
-            dx = (T[0, 0] * x + T[0, 1] * y + T[0, 2]) / voxel_m
-            dy = (T[1, 0] * x + T[1, 1] * y + T[1, 2]) / voxel_m
-            dz = (T[2, 0] * x + T[2, 1] * y + T[2, 2]) / voxel_m
-            z = _met(keys, slots, voxels, truncation_m / voxel_m, ox, oy, oz, dx, dy, dz, low, high)
-            if z <= 0:
-                continue
-            px, py, pz = ox + z * dx, oy + z * dy, oz + z * dz
-            if not blended(keys, slots, voxels, OWN, px, py, pz) > MIN_OWN:
-                continue
-            gx = gy = gz = 0.0
-            for side in (-1.0, 1.0):
-                gx += side * blended(keys, slots, voxels, TSDF, px + side, py, pz)
-                gy += side * blended(keys, slots, voxels, TSDF, px, py + side, pz)
-                gz += side * blended(keys, slots, voxels, TSDF, px, py, pz + side)
-            length = np.sqrt(gx * gx + gy * gy + gz * gz)
-            if not length > 1e-6:
-                continue
-            light[v, u] = blended(keys, slots, voxels, LIGHT, px, py, pz)
-            points[v, u, 0], points[v, u, 1], points[v, u, 2] = x * z, y * z, z
-            for k in range(3):
-                normals[v, u, k] = (T[0, k] * gx + T[1, k] * gy + T[2, k] * gz) / length
+    tiles = near.shape[1]
+    for n in range(near.size * _TILE**2):  # tile by tile: neighbouring rays read the same voxels
+        tile, inner = n // _TILE**2, n % _TILE**2
+        row, column = tile // tiles, tile % tiles
+        v, u = row * _TILE + inner // _TILE, column * _TILE + inner % _TILE
+        low, high = near[row, column], far[row, column]
+        if low >= high or v >= height or u >= width:
+            continue
+        x, y = (u - cx) / fx, (v - cy) / fy
+        dx = (T[0, 0] * x + T[0, 1] * y + T[0, 2]) / voxel_m
+        dy = (T[1, 0] * x + T[1, 1] * y + T[1, 2]) / voxel_m
+        dz = (T[2, 0] * x + T[2, 1] * y + T[2, 2]) / voxel_m
+        z = _met(keys, slots, voxels, truncation_m / voxel_m, ox, oy, oz, dx, dy, dz, low, high)
+        if z <= 0:
+            continue
+        px, py, pz = ox + z * dx, oy + z * dy, oz + z * dz
+        if not blended(keys, slots, voxels, OWN, px, py, pz) > MIN_OWN:
+            continue
+        gx = gy = gz = 0.0
+        for side in (-1.0, 1.0):
+            gx += side * blended(keys, slots, voxels, TSDF, px + side, py, pz)
+            gy += side * blended(keys, slots, voxels, TSDF, px, py + side, pz)
+            gz += side * blended(keys, slots, voxels, TSDF, px, py, pz + side)
+        length = np.sqrt(gx * gx + gy * gy + gz * gz)
+        if not length > 1e-6:
+            continue
+        light[v, u] = blended(keys, slots, voxels, LIGHT, px, py, pz)
+        points[v, u, 0], points[v, u, 1], points[v, u, 2] = x * z, y * z, z
+        for k in range(3):
+            normals[v, u, k] = (T[0, k] * gx + T[1, k] * gy + T[2, k] * gz) / length
     return points, normals, light
 
 
@@ -134,14 +137,19 @@ def _met(keys, slots, voxels, truncation, ox, oy, oz, dx, dy, dz, low, high):
     """z-depth at which a ray (in voxels a metre of depth) passes from outside to inside; 0 where
     it does not. What is behind a surface's back stays hidden."""
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    per_x, per_y, per_z = 1 / dx, 1 / dy, 1 / dz  # infinite along an axis is never the way out
     z, before, before_z = low, np.nan, low
+    block, last = -1, -1
     while z < high:
         x, y, w = ox + z * dx, oy + z * dy, oz + z * dz
         i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(w))
-        block = block_at(keys, slots, i >> 3, j >> 3, k >> 3)
+        key = block_key(i >> 3, j >> 3, k >> 3)
+        if key != last:
+            block, last = block_of(keys, slots, key), key
         if block < 0:
-            way = min(_way_out(x, dx), _way_out(y, dy), _way_out(w, dz))
-            z += way + 1e-3 / length
+            way = _way_out(x, i, per_x)
+            way = min(way, _way_out(y, j, per_y))
+            z += min(way, _way_out(w, k, per_z)) + 1e-3 / length
             before = np.nan
             continue
         inner = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
@@ -170,9 +178,8 @@ def _met(keys, slots, voxels, truncation, ox, oy, oz, dx, dy, dz, low, high):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _way_out(place, slope):
-    """How much farther a ray leaves, along one axis, the block that a place (in voxels) is in."""
-    inside = place - np.floor(place / SIDE) * SIDE
-    if slope == 0:
-        return np.inf
-    return (SIDE - inside) / slope if slope > 0 else -inside / slope
+def _way_out(place, voxel, slope):
+    """How much farther a ray leaves, along one axis, the block that a place (in voxels) is in.
+    slope: depth a voxel."""
+    first = (voxel >> 3) << 3
+    return (first + SIDE - place) * slope if slope > 0 else (first - place) * slope

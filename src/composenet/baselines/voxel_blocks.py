@@ -46,7 +46,13 @@ def place_of(keys, key):
 @numba.njit(cache=True, nogil=True)
 def block_at(keys, slots, x, y, z):
     """The number of the block at a place, or -1."""
-    place = place_of(keys, block_key(x, y, z))
+    return block_of(keys, slots, block_key(x, y, z))
+
+
+@numba.njit(cache=True, nogil=True)
+def block_of(keys, slots, key):
+    """The number of the block with this key, or -1."""
+    place = place_of(keys, key)
     return slots[place] if keys[place] != FREE else -1
 
 
