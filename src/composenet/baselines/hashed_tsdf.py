@@ -89,13 +89,8 @@ class HashedTsdf:
 
     def surface(self) -> NDArray[np.float64]:
         """(P, 3) centres of the body's own voxels near its surface, metres, body axes."""
-        near = np.abs(self.voxels[..., TSDF]) < min(_SURFACE, self.voxel_size_m / self.truncation_m)
-        kept = near & (self.voxels[..., WEIGHT] > 0) & (self.voxels[..., OWN] > MIN_OWN)
-        block, inner = np.nonzero(kept)
-        offsets = np.stack(np.unravel_index(inner, (SIDE,) * 3), axis=-1)
-        return np.asarray(
-            (self.coords[block] * SIDE + offsets + 0.5) * self.voxel_size_m, np.float64
-        )
+        near = min(_SURFACE, self.voxel_size_m / self.truncation_m)
+        return _near_surface(self.coords, self.voxels, near) * self.voxel_size_m
 
     def _allocated(self, points: NDArray[np.float32], T_body_camera: FloatArray) -> bool:
         """Make blocks along the rays through the points; False where the table filled up."""
@@ -112,6 +107,24 @@ class HashedTsdf:
         self._voxels[: len(voxels)] = voxels  # memory of the rest is taken when it is written to
         self._keys, self._slots = empty_table(2 * len(self._keys))
         fill_table(self._keys, self._slots, self.coords)
+
+
+@numba.njit(cache=True, nogil=True)
+def _near_surface(coords, voxels, near):
+    """(P, 3) centres, in voxels, of those that `HashedTsdf.surface` tells of."""
+    found, count = np.empty((1024, 3)), 0
+    for n in range(len(coords)):
+        for inner in range(SIDE**3):
+            voxel = voxels[n, inner]
+            if abs(voxel[TSDF]) >= near or voxel[WEIGHT] <= 0 or voxel[OWN] <= MIN_OWN:
+                continue
+            if count == len(found):
+                found = np.concatenate((found, np.empty_like(found)))
+            found[count, 0] = coords[n, 0] * SIDE + inner // SIDE**2 + 0.5
+            found[count, 1] = coords[n, 1] * SIDE + inner // SIDE % SIDE + 0.5
+            found[count, 2] = coords[n, 2] * SIDE + inner % SIDE + 0.5
+            count += 1
+    return found[:count]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

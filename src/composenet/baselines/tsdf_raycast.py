@@ -66,25 +66,39 @@ def blended(keys, slots, voxels, channel, x, y, z):
     a, b, c = x - i, y - j, z - k
     bx, by, bz = i >> 3, j >> 3, k >> 3
     block = block_at(keys, slots, bx, by, bz)
-    first = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
-    within = (i & 7) < 7 and (j & 7) < 7 and (k & 7) < 7  # one block holds all eight
-    if within and block < 0:
-        return np.nan
+    if (i & 7) < 7 and (j & 7) < 7 and (k & 7) < 7:
+        first = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
+        return np.nan if block < 0 else _within(voxels[block], first, channel, a, b, c)
     total, weights = 0.0, 0.0
     for corner in range(8):
         di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-        number, inner = block, first + (di << 6) + (dj << 3) + dk
-        if not within:
-            cx, cy, cz = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
-            if cx != bx or cy != by or cz != bz:
-                number = block_at(keys, slots, cx, cy, cz)
-            if number < 0:
-                continue
-            inner = (((i + di) & 7) << 6) | (((j + dj) & 7) << 3) | ((k + dk) & 7)
+        cx, cy, cz = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
+        number = block
+        if cx != bx or cy != by or cz != bz:
+            number = block_at(keys, slots, cx, cy, cz)
+        if number < 0:
+            continue
+        inner = (((i + di) & 7) << 6) | (((j + dj) & 7) << 3) | ((k + dk) & 7)
         if voxels[number, inner, WEIGHT] > 0:
             weight = (a if di else 1 - a) * (b if dj else 1 - b) * (c if dk else 1 - c)
             total += weight * voxels[number, inner, channel]
             weights += weight
+    return total / weights if weights >= _MIN_CORNERS else np.nan
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _within(block, first, channel, a, b, c):
+    """`blended` where one block (512, 4) holds all eight voxels, from `first` on."""
+    total, weights = 0.0, 0.0
+    for di in range(2):
+        for dj in range(2):
+            share = (a if di else 1 - a) * (b if dj else 1 - b)
+            for dk in range(2):
+                inner = first + (di << 6) + (dj << 3) + dk
+                if block[inner, WEIGHT] > 0:
+                    weight = share * (c if dk else 1 - c)
+                    total += weight * block[inner, channel]
+                    weights += weight
     return total / weights if weights >= _MIN_CORNERS else np.nan
 
 
