@@ -260,7 +260,7 @@ def test_what_a_row_is_made_of() -> None:
     package = Path(composenet.__file__).parent
 
     def made_of(name: str) -> set[str]:
-        return {str(p.relative_to(package)) for p in sources_of(*bench._made_by(name))}
+        return {str(p.relative_to(package)) for p in sources_of(*bench.made_by(name))}
 
     fusion, ours = made_of("maskfusion"), made_of("full")
     assert {"baselines/surfels.py", "baselines/mask_rcnn_network.py", "errors.py"} <= fusion

@@ -237,8 +237,6 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
         asked.append((folder.name, names))
         return real(folder, names, **others)
 
-    noted.__module__ = real.__module__
-
     monkeypatch.setattr(variants, "score_variants", noted)
     assert run(*again) == 0
     assert asked == [("val_00001", ("full",))] and numbers(one) == before

@@ -24,6 +24,8 @@ from composenet.baselines.tsdf_raycast import (
     WEIGHT,
     cast_rays,
     depth_ranges,
+    farthest,
+    tiles_of,
 )
 from composenet.baselines.voxel_blocks import SIDE, allocate_along_rays, empty_table, fill_table
 from composenet.geometry.camera import back_project
@@ -131,29 +133,31 @@ def _near_surface(coords, voxels, near):
 def _integrated(
     coords, voxels, voxel_m, truncation_m, depth, light, own, T, height, width, fx, fy, cx, cy
 ):
-    """Average the frame into the blocks in view, in place. T: T_camera_body."""
-    block_m, p, corner = SIDE * voxel_m, np.empty(3), np.empty(3)
-    radius = block_m * np.sqrt(3.0) / 2
+    """Average the frame into the blocks that it reaches, in place. T: T_camera_body."""
+    steps = (T[:3, :3] * voxel_m).copy()  # from voxel to voxel
+    p, far = np.empty(3), farthest(depth)
     for n in range(len(coords)):
         for k in range(3):
-            corner[k] = T[k, 3]
+            p[k] = T[k, 3]
             for j in range(3):
-                corner[k] += T[k, j] * coords[n, j] * block_m
-        if not _in_view(corner, T, block_m, radius, height, width, fx, fy, cx, cy):
+                p[k] += SIDE * steps[k, j] * (coords[n, j] + 0.5)
+        radius = SIDE * voxel_m * np.sqrt(3.0) / 2
+        if not _reached(p, radius, truncation_m, far, fx, fy, cx, cy):
             continue
         for inner in range(SIDE**3):
-            a, b, c = inner // SIDE**2, inner // SIDE % SIDE, inner % SIDE
-            for k in range(3):
-                p[k] = corner[k] + voxel_m * (
-                    T[k, 0] * (a + 0.5) + T[k, 1] * (b + 0.5) + T[k, 2] * (c + 0.5)
-                )
-            if p[2] < 0.1:
+            a, b, c = inner // SIDE**2 - 3.5, inner // SIDE % SIDE - 3.5, inner % SIDE - 3.5
+            x = p[0] + steps[0, 0] * a + steps[0, 1] * b + steps[0, 2] * c
+            y = p[1] + steps[1, 0] * a + steps[1, 1] * b + steps[1, 2] * c
+            z = p[2] + steps[2, 0] * a + steps[2, 1] * b + steps[2, 2] * c
+            if z < 0.1:
                 continue
-            x, y = p[0] / p[2], p[1] / p[2]
+            x, y = x / z, y / z
             u, v = int(np.floor(fx * x + cx + 0.5)), int(np.floor(fy * y + cy + 0.5))
             if not (0 <= u < width and 0 <= v < height) or depth[v, u] <= 0:
                 continue
-            distance = (depth[v, u] - p[2]) * np.sqrt(1 + x * x + y * y)
+            distance = depth[v, u] - z
+            if distance < truncation_m:  # else it is so along the ray, too
+                distance *= np.sqrt(1 + x * x + y * y)
             if distance <= -truncation_m:
                 continue
             voxel = voxels[n, inner]
@@ -165,20 +169,13 @@ def _integrated(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _in_view(corner, T, block_m, radius, height, width, fx, fy, cx, cy):
-    """Whether some of a block's sphere projects into the image."""
-    x = corner[0] + (T[0, 0] + T[0, 1] + T[0, 2]) * block_m / 2
-    y = corner[1] + (T[1, 0] + T[1, 1] + T[1, 2]) * block_m / 2
-    z = corner[2] + (T[2, 0] + T[2, 1] + T[2, 2]) * block_m / 2
-    if z < -radius:
-        return False
-    near = max(z - radius, 0.1)
-    if z - radius < 0.1:
-        return True
-    u, v, reach_u, reach_v = (
-        fx * x / z + cx,
-        fy * y / z + cy,
-        fx * radius / near,
-        fy * radius / near,
-    )
-    return -reach_u < u < width + reach_u and -reach_v < v < height + reach_v
+def _reached(p, radius, truncation_m, far, fx, fy, cx, cy):
+    """Whether the frame measured something, in view of a block's sphere about p (3,), that is not
+    well before it. far: from `farthest`."""
+    rows, columns = far.shape
+    top, bottom, left, right = tiles_of(p, radius, rows, columns, fx, fy, cx, cy)
+    for row in range(top, bottom):
+        for column in range(left, right):
+            if far[row, column] > max(0.0, p[2] - radius - truncation_m):
+                return True
+    return False

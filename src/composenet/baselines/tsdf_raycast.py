@@ -32,20 +32,40 @@ def depth_ranges(coords, block_m, T, height, width, fx, fy, cx, cy):
             p[k] = T[k, 3]
             for j in range(3):
                 p[k] += T[k, j] * (coords[n, j] + 0.5) * block_m
-        low, high = p[2] - radius, p[2] + radius
-        if high < _NEAR_M:
-            continue
-        left, right, top, bottom = 0, columns - 1, 0, rows - 1
-        if low > _NEAR_M:
-            left = _tile(fx, cx, p[0] - radius, low, high, False, columns)
-            right = _tile(fx, cx, p[0] + radius, low, high, True, columns)
-            top = _tile(fy, cy, p[1] - radius, low, high, False, rows)
-            bottom = _tile(fy, cy, p[1] + radius, low, high, True, rows)
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                near[row, column] = min(near[row, column], max(low, _NEAR_M))
+        low, high = max(p[2] - radius, _NEAR_M), p[2] + radius
+        top, bottom, left, right = tiles_of(p, radius, rows, columns, fx, fy, cx, cy)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                near[row, column] = min(near[row, column], low)
                 far[row, column] = max(far[row, column], high)
     return near, far
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def farthest(depth):
+    """(H / 8, W / 8) largest depth (H, W) in each tile of the image."""
+    height, width = depth.shape
+    far = np.zeros(((height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE))
+    for v in range(height):
+        for u in range(width):
+            far[v // _TILE, u // _TILE] = max(far[v // _TILE, u // _TILE], depth[v, u])
+    return far
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def tiles_of(p, radius, rows, columns, fx, fy, cx, cy):
+    """The tiles that a sphere about p (3,), camera axes, may fall on: rows from the first number
+    up to the second, columns from the third up to the fourth."""
+    low, high = p[2] - radius, p[2] + radius
+    if high < _NEAR_M:
+        return 0, 0, 0, 0
+    if low <= _NEAR_M:
+        return 0, rows, 0, columns
+    left = _tile(fx, cx, p[0] - radius, low, high, False, columns)
+    right = _tile(fx, cx, p[0] + radius, low, high, True, columns)
+    top = _tile(fy, cy, p[1] - radius, low, high, False, rows)
+    bottom = _tile(fy, cy, p[1] + radius, low, high, True, rows)
+    return top, bottom + 1, left, right + 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -64,8 +64,7 @@ def run_bench(
     work = partial(score_methods, asked=asked)
     own = [name for name in names if _ours_together(name, camera)]
     for together in (*([name] for name in names if name not in own), *([own] if own else [])):
-        file = made_of[together[0]] or Path(os.devnull)
-        cache = ScoreCache(out / "sequences", _made_by(together[0]), file, camera, device)
+        cache = _cache(out, together[0], made_of[together[0]], asked)
         outcomes |= run_jobs(together, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)
     if scores:
@@ -110,12 +109,23 @@ def _ours_together(name: str, cameras: Cameras) -> bool:
     return name in VARIANTS and cameras is Cameras.GIVEN
 
 
-def _made_by(name: str) -> list[str]:
-    """The modules that score a row (see `ScoreCache`)."""
+def _cache(out: Path, name: str, weights: Path | None, asked: Asked) -> ScoreCache:
+    """Where a row's scores are kept; those of our variants where `composenet eval` keeps them."""
+    if _ours_together(name, asked.cameras):
+        from composenet.commands.variants import variant_cache
+
+        assert weights is not None
+        return variant_cache(out, weights, asked.device)
+    weights = weights or Path(os.devnull)
+    return ScoreCache(out / "sequences", made_by(name), weights, asked.cameras, asked.device)
+
+
+def made_by(name: str) -> list[str]:
+    """The modules that score a comparison system, or our tracker with a camera of its own."""
     if name in ROWS:
         row = ROWS[name]
         return [score_system.__module__, row.make.__module__, row.masks.__module__]
-    return [score_system.__module__, OwnCamera.__module__, "composenet.commands.variants"]
+    return [score_system.__module__, OwnCamera.__module__, "composenet.pipeline"]
 
 
 def _checked(names: Sequence[str], asked: Asked) -> Asked:

@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 
 from composenet.commands.jobs import aggregated, failure_lines, guarded, run_jobs
-from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     VARIANTS,
     ScoredSequence,
@@ -51,12 +50,12 @@ def run_eval(
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
     else:
-        from composenet.commands.variants import score_variants
+        from composenet.commands.variants import score_variants, variant_cache
         from composenet.pipeline import load_tracker
 
         weights = weights or default_weights()
         load_tracker(weights, device=device)  # what is wrong with them is said once
-        cache = ScoreCache(out / "sequences", [score_variants.__module__], weights, device, offline)
+        cache = variant_cache(out, weights, device, offline)
         work = partial(score_variants, weights=weights, device=device, offline=offline)
         names = list(dict.fromkeys(variants))
         outcomes = run_jobs(names, folders, work, cache, workers, console)

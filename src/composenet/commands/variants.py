@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import VARIANTS, ScoredSequence, moved_truth, score_tracks
 from composenet.pipeline import FrameResult, load_tracker
 from composenet.records import Frame, SequenceTruth, Track
@@ -66,3 +67,8 @@ def _score(
         seconds_per_frame=seconds,
         canonical={track.track_id: track.canonical for track in tracks},
     )
+
+
+def variant_cache(out: Path, weights: Path, device: str, offline: bool = False) -> ScoreCache:
+    """Where the variants' scores are kept."""
+    return ScoreCache(out / "sequences", [__name__], weights, device, offline)
