@@ -25,10 +25,13 @@ Deviations, all in its favour where they matter to the scores:
   nothing agrees with rest is tracked too (it is given up);
 - a mask takes one model and a model one mask, of greatest total overlap (the first that fits; masks
   of one class are merged), and may be larger than its model to any degree (by half, where one holds
-  the other); what is left over is fused nowhere (into the background);
+  the other); a mask that is left over is fused nowhere (into the background);
+- a pixel in no mask that shows a model goes to that model, as if in its mask (to the background);
 - points of the rendering are sought in the frame, not the frame's in the rendering, which is made
   for the present camera; its brightness is that of the last frame where that showed it, as in the
   original, else that of its voxels;
+- a point that is of no pair counts in the cost by which a step is kept or taken back, as much as
+  one just within reach (the cost is of pairs alone, so that losing them seems a gain);
 - what moved out of its model's surface is left out of its fusion by distance, not by brightness;
 - the camera's first guess, where it is not given, is turned by brightness alone first;
 - a mask of 77 pixels starts a model, as in the demonstrations with small objects (the default is
