@@ -34,6 +34,7 @@ from composenet.records import Camera, FloatArray
 
 MAX_WEIGHT = 100.0
 """frames that the past weighs at most"""
+_SHOWN_VOXELS = 3  # rays may meet a surface within so many voxels of one that is told of it
 _SURFACE = 0.5  # of the truncation: voxels this near the surface have their place measured
 
 
@@ -46,6 +47,7 @@ class HashedTsdf:
         self._keys, self._slots = empty_table(1024)
         self._coords = np.zeros((256, 3), np.int32)
         self._voxels = np.zeros((256, SIDE**3, 4), np.float32)
+        self._shown = np.zeros(256, np.bool_)  # blocks with the body's own voxels at its surface
         self._count = 0
 
     def __len__(self) -> int:
@@ -74,7 +76,7 @@ class HashedTsdf:
         while not self._allocated(points, inverse_T(T_camera_body)):
             self._grow()
         _integrated(
-            self.coords, self.voxels, self.voxel_size_m, self.truncation_m, depth,
+            self.coords, self.voxels, self._shown, self.voxel_size_m, self.truncation_m, depth,
             intensity.astype(np.float32), own.astype(np.float32), T_camera_body, *pinhole(camera),
         )  # fmt: skip
         return self
@@ -82,7 +84,7 @@ class HashedTsdf:
     def raycast(self, T_camera_body: FloatArray, camera: Camera) -> Maps:
         """What a camera would see of the body: its surface, from outside."""
         block_m = SIDE * self.voxel_size_m
-        near, far = depth_ranges(self.coords, block_m, T_camera_body, *pinhole(camera))
+        near, far = depth_ranges(self.coords, self._shown, block_m, T_camera_body, *pinhole(camera))
         points, normals, light = cast_rays(
             self._keys, self._slots, self._voxels, self.voxel_size_m, self.truncation_m,
             near, far, inverse_T(T_camera_body), *pinhole(camera),
@@ -92,7 +94,7 @@ class HashedTsdf:
     def surface(self) -> NDArray[np.float64]:
         """(P, 3) centres of the body's own voxels near its surface, metres, body axes."""
         near = min(_SURFACE, self.voxel_size_m / self.truncation_m)
-        return _near_surface(self.coords, self.voxels, near) * self.voxel_size_m
+        return _near_surface(self.coords, self.voxels, self._shown, near) * self.voxel_size_m
 
     def _allocated(self, points: NDArray[np.float32], T_body_camera: FloatArray) -> bool:
         """Make blocks along the rays through the points; False where the table filled up."""
@@ -105,6 +107,7 @@ class HashedTsdf:
     def _grow(self) -> None:
         """Twice as many blocks, in a table twice as large."""
         self._coords = np.concatenate([self._coords, np.zeros_like(self._coords)])
+        self._shown = np.concatenate([self._shown, np.zeros_like(self._shown)])
         voxels, self._voxels = self._voxels, np.zeros((len(self._coords), SIDE**3, 4), np.float32)
         self._voxels[: len(voxels)] = voxels  # memory of the rest is taken when it is written to
         self._keys, self._slots = empty_table(2 * len(self._keys))
@@ -112,10 +115,12 @@ class HashedTsdf:
 
 
 @numba.njit(cache=True, nogil=True)
-def _near_surface(coords, voxels, near):
+def _near_surface(coords, voxels, shown, near):
     """(P, 3) centres, in voxels, of those that `HashedTsdf.surface` tells of."""
     found, count = np.empty((1024, 3)), 0
     for n in range(len(coords)):
+        if not shown[n]:
+            continue
         for inner in range(SIDE**3):
             voxel = voxels[n, inner]
             if abs(voxel[TSDF]) >= near or voxel[WEIGHT] <= 0 or voxel[OWN] <= MIN_OWN:
@@ -131,9 +136,11 @@ def _near_surface(coords, voxels, near):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _integrated(
-    coords, voxels, voxel_m, truncation_m, depth, light, own, T, height, width, fx, fy, cx, cy
-):
+    coords, voxels, shown, voxel_m, truncation_m, depth, light, own, T,
+    height, width, fx, fy, cx, cy,
+):  # fmt: skip
     """Average the frame into the blocks that it reaches, in place. T: T_camera_body."""
+    near = _SHOWN_VOXELS * voxel_m / truncation_m
     steps = (T[:3, :3] * voxel_m).copy()  # from voxel to voxel
     p, far = np.empty(3), farthest(depth)
     for n in range(len(coords)):
@@ -166,6 +173,11 @@ def _integrated(
             voxel[LIGHT] += share * (light[v, u] - voxel[LIGHT])
             voxel[OWN] += share * (own[v, u] - voxel[OWN])
             voxel[WEIGHT] = min(voxel[WEIGHT] + 1, MAX_WEIGHT)
+        shown[n] = False
+        for voxel in voxels[n]:
+            if voxel[OWN] > MIN_OWN and abs(voxel[TSDF]) < near:
+                shown[n] = True
+                break
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

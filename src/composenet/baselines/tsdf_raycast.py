@@ -20,9 +20,10 @@ _MIN_CORNERS = 0.5  # of the eight voxels around a point, by their weight in the
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def depth_ranges(coords, block_m, T, height, width, fx, fy, cx, cy):
-    """(H / 8, W / 8) least and largest z-depth of the blocks (N, 3) at each tile of the image;
-    the least is infinite where there are none. T: T_camera_body."""
+def depth_ranges(coords, shown, block_m, T, height, width, fx, fy, cx, cy):
+    """(H / 8, W / 8) least z-depth of the blocks (N, 3) at each tile of the image, infinite where
+    there are none, and the largest of those that are shown (N,), 0 where there are none.
+    T: T_camera_body."""
     rows, columns = (height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE
     near, far = np.full((rows, columns), np.inf), np.zeros((rows, columns))
     radius = block_m * np.sqrt(3.0) / 2
@@ -32,12 +33,13 @@ def depth_ranges(coords, block_m, T, height, width, fx, fy, cx, cy):
             p[k] = T[k, 3]
             for j in range(3):
                 p[k] += T[k, j] * (coords[n, j] + 0.5) * block_m
-        low, high = max(p[2] - radius, _NEAR_M), p[2] + radius
+        low, high = max(p[2] - radius, _NEAR_M), p[2] + radius + block_m / SIDE  # a voxel more
         top, bottom, left, right = tiles_of(p, radius, rows, columns, fx, fy, cx, cy)
         for row in range(top, bottom):
             for column in range(left, right):
                 near[row, column] = min(near[row, column], low)
-                far[row, column] = max(far[row, column], high)
+                if shown[n]:
+                    far[row, column] = max(far[row, column], high)
     return near, far
 
 
