@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import figures
+import gains
 import numpy as np
 import pytest
 from PIL import Image
@@ -121,14 +122,15 @@ def test_completion_of_a_track_by_hand() -> None:
     assert tracklet_completions(truth, [[]], {5: whole}) == ()
 
 
-def answered(folder: Path, confidence: float) -> ScoredSequence:
-    """The truth of a sequence as tracks that are full boxes."""
+def answered(folder: Path, confidence: float, off_m: float = 0.0) -> ScoredSequence:
+    """The truth of a sequence as tracks that are full boxes, all off_m too high."""
     truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
     objects = {item.gt_id: item for item in truth.objects}
     tracked = [
         [
             TrackedObject(
-                o.gt_id, i, objects[o.gt_id].class_id, TrackState.TRACKED, confidence, o.box,
+                o.gt_id, i, objects[o.gt_id].class_id, TrackState.TRACKED, confidence,
+                Box(o.box.center + np.array([0, 0, off_m]), o.box.extents),
                 Similarity(
                     float(np.linalg.norm(objects[o.gt_id].extents_m)),
                     o.T_world_object[:3, :3],
@@ -150,11 +152,16 @@ def kept(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPath
     out = tmp_path_factory.mktemp("scores")
     cache = ScoreCache(out / "sequences", [], tiny_weights, "cpu")
     sequences = sorted(recordings.glob("val_*"))
-    scored = [answered(folder, 0.9) for folder in sequences]
-    for folder, item in zip(sequences, scored, strict=True):
-        cache.save(folder, "full", item)
+    scored = {
+        name: [answered(folder, 0.9, off_m) for folder in sequences]
+        for name, off_m in (("full", 0.01), ("no-compl", 0.3))
+    }
+    for name, items in scored.items():
+        for folder, item in zip(sequences, items, strict=True):
+            cache.save(folder, name, item)
     info = RunInfo("recordings", 0, "composenet eval", "tiny")
-    write_results(out / "results.json", info, {"full": aggregate([item.scores for item in scored])})
+    results = {name: aggregate([i.scores for i in items]) for name, items in scored.items()}
+    write_results(out / "results.json", info, results)
     return out
 
 
@@ -172,6 +179,31 @@ def test_pictures(kept: Path, recordings: Path, tmp_path: Path) -> None:
     assert sum(tracks["counts"]) == tracks["counts"][9] > 0
     points = data["mota_completion"]["sequences"]
     assert [p["mota"] for p in points] == [1, 1] and all(p["completion_iou"] > 0.1 for p in points)
+
+
+def test_where_one_variant_is_ahead(kept: Path, recordings: Path, tmp_path: Path) -> None:
+    image, numbers = tmp_path / "gain.png", tmp_path / "gain.json"
+    gains.main(kept, recordings, image=image, numbers=numbers)
+    with Image.open(image) as picture:  # a frame of each sequence, seen by both
+        assert picture.width == 2 * 480 and picture.height == 2 * (360 + gains.CAPTION_PX)
+    data = json.loads(numbers.read_text())
+    counted = data["objects"]
+    assert data["found_by_one_only"] == counted > 0 and data["found_by_other_only"] == 0
+    assert data["one_only_because_other"] == {"place": counted}
+    assert sum(data["one_only_by_class"].values()) == counted
+    # Missed, and a false track; tracks of objects that do not count are false as well.
+    assert data["errors_one_saves"] >= 2 * counted
+    assert data["frames_other_leads"] == 0
+    assert data["center_error_cm_of_found_by_both"] == [None, None]
+
+    gains.main(kept, recordings, one="no-compl", other="full", image=image, numbers=numbers)
+    turned = json.loads(numbers.read_text())
+    assert turned["found_by_other_only"] == counted
+    assert turned["errors_one_saves"] == -data["errors_one_saves"]
+    gains.main(kept, recordings, other="full", image=image, numbers=numbers)
+    same = json.loads(numbers.read_text())
+    assert same["found_by_both"] == counted
+    assert same["center_error_cm_of_found_by_both"] == [1.0, 1.0]
 
 
 def test_scores_of_two_runs_are_refused(kept: Path, recordings: Path, tmp_path: Path) -> None:
