@@ -156,7 +156,7 @@ def sheet(
             ImageDraw.Draw(tile).text((3, 2), f"{name}: {failure.caption}", fill="black")
             row.append(tile)
         rows.append(row)
-    width, height = rows[0][0].size if rows else (1, 1)
+    width, height = rows[0][0].size
     out = Image.new("RGB", (len(runs) * width, len(rows) * height), "white")
     for y, row in enumerate(rows):
         for x, tile in enumerate(row):
@@ -181,7 +181,8 @@ def main(
     worst_first = [replace(d, lead=-d.lead) for d in reversed(leads)]
     ahead = [d for d in shown(leads) if d.lead > 0]
     behind = [d for d in shown(worst_first) if d.lead > 0]
-    sheet([*ahead, *behind], {one: first, other: second}).save(image)
+    if chosen := [*ahead, *behind]:
+        sheet(chosen, {one: first, other: second}).save(image)
     result = {
         **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
         "command": f"python benchmarks/gains.py {scores} --data {data} --one {one} --other {other}",
@@ -193,7 +194,7 @@ def main(
     }
     numbers.write_text(json.dumps(result, indent=2) + "\n")
     print(json.dumps(result, indent=2))
-    print(f"wrote {image} and {numbers}")
+    print(f"wrote {numbers}" + (f" and {image}" if chosen else "; no frame differs"))
 
 
 if __name__ == "__main__":

@@ -200,7 +200,8 @@ def test_where_one_variant_is_ahead(kept: Path, recordings: Path, tmp_path: Path
     turned = json.loads(numbers.read_text())
     assert turned["found_by_other_only"] == counted
     assert turned["errors_one_saves"] == -data["errors_one_saves"]
-    gains.main(kept, recordings, other="full", image=image, numbers=numbers)
+    gains.main(kept, recordings, other="full", image=tmp_path / "none", numbers=numbers)
+    assert not (tmp_path / "none").exists()  # no frame differs
     same = json.loads(numbers.read_text())
     assert same["found_by_both"] == counted
     assert same["center_error_cm_of_found_by_both"] == [1.0, 1.0]
