@@ -105,13 +105,15 @@ class HashedTsdf:
         return bool(done)
 
     def _grow(self) -> None:
-        """Twice as many blocks, in a table twice as large."""
-        self._coords = np.concatenate([self._coords, np.zeros_like(self._coords)])
-        self._shown = np.concatenate([self._shown, np.zeros_like(self._shown)])
-        voxels, self._voxels = self._voxels, np.zeros((len(self._coords), SIDE**3, 4), np.float32)
-        self._voxels[: len(voxels)] = voxels  # memory of the rest is taken when it is written to
-        self._keys, self._slots = empty_table(2 * len(self._keys))
-        fill_table(self._keys, self._slots, self.coords)
+        """A quarter more blocks, in place: no one else holds the arrays. The table keeps free
+        what it needs to be fast."""
+        size = 5 * len(self._coords) // 4
+        self._coords.resize((size, 3), refcheck=False)
+        self._shown.resize(size, refcheck=False)
+        self._voxels.resize((size, SIDE**3, 4), refcheck=False)
+        if len(self._keys) < 2 * size:
+            self._keys, self._slots = empty_table(2 * len(self._keys))
+            fill_table(self._keys, self._slots, self.coords)
 
 
 @numba.njit(cache=True, nogil=True)
