@@ -14,6 +14,7 @@ from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import Box, Similarity, TrackState
 from composenet.tracking.tracker import Tracker
+from composenet.tracking.tracklet import FIRST_LOOK
 from tracking_scenes import CHAIR, DESK, SIZE, TABLE, block, frame, screen, thing
 
 CONFIG = TrackingConfig(min_confidence=0.0, keep_confidence=0.0)
@@ -199,7 +200,7 @@ def test_the_equal_class_is_preferred_among_overlapping_boxes():
 def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
     pair = [thing(3, 0, score=0.6), thing(3, 0.1, score=0.9)]
     _, outputs = run([(None, pair)])
-    assert [e.confidence for e in outputs[0]] == [0.9 * 0.75]
+    assert [e.confidence for e in outputs[0]] == [0.9 * FIRST_LOOK]
     weak, too_weak = (None, [thing(3, 0, score=0.45)]), (None, [thing(3, 0, score=0.25)])
     _, outputs = run([weak, SEEN, weak, too_weak])
     assert seen_at(outputs) == [[], [1], [1], []]

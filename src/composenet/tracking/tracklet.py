@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 SMALLEST_DIAGONAL_M = 0.3
 """Noise of the centres does not shrink with objects smaller than this."""
 
-FIRST_LOOK = 0.75
+FIRST_LOOK = 0.9
 """What a track's first detection counts."""
 
 
@@ -57,7 +57,7 @@ class Tracklet:
     It is told of from the frame on in which its confidence reaches config.min_confidence, until
     it is seen with less than config.keep_confidence; then once more when it reaches the former.
 
-    Confidence: at birth three quarters of the score; when seen again, the mean of the last
+    Confidence: at birth nine tenths of the score; when seen again, the mean of the last
     confidence and the score; while unseen, it decays by a factor a frame, faster when lost than
     when occluded; 0 at the end.
     """
