@@ -233,10 +233,10 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
     ("scores", "told", "in_hindsight"),
     [
         ((0.9, 0.9, 0.9), [0, 1, 2], True),
-        ((0.65, 0.65, 0.65, 0.65), [2, 3], True),  # 0.49, 0.57, 0.61, 0.63
+        ((0.65, 0.65, 0.65, 0.65), [1, 2, 3], True),  # 0.59, 0.62, 0.63, 0.64
         ((0.6, 0.5, 0.5, 0.5, 0.5), [], False),
-        ((0.9, 0.5, 0.5, 0.3), [0, 1], True),  # 0.68, 0.59, 0.54, 0.42
-        ((0.9, 0.5, 0.4, 0.7, 0.7), [0, 1, 4], True),  # 0.68, 0.59, 0.49, 0.60, 0.65
+        ((0.9, 0.5, 0.5, 0.3), [0, 1, 2], True),  # 0.81, 0.66, 0.58, 0.44
+        ((0.9, 0.5, 0.4, 0.65, 0.7), [0, 1, 4], True),  # 0.81, 0.66, 0.53, 0.59, 0.64
     ],
 )
 def test_a_track_is_told_of_while_it_is_sure(scores, told, in_hindsight):
@@ -260,7 +260,7 @@ def test_confidence_grows_with_hits_and_decays_while_unseen():
     stream = [SEEN] * 3 + [(HIDE, [])] * 2 + [(frame(0), [])] * 2 + [SEEN]
     _, outputs = run(stream)
     values = [out[0].confidence for out in outputs]
-    seen = [0.9 * (1 - 0.25 * 0.5**hits) for hits in (0, 1, 2)]
+    seen = [0.9 * (1 - (1 - FIRST_LOOK) * 0.5**hits) for hits in (0, 1, 2)]
     unseen = [seen[-1] * factor for factor in (0.98, 0.98**2, 0.98**2 * 0.9, 0.98**2 * 0.81)]
     np.testing.assert_allclose(values, [*seen, *unseen, (unseen[-1] + 0.9) / 2], rtol=1e-6)
 
