@@ -2,7 +2,7 @@
 picture of the frames in which they differ most.
 
 python benchmarks/gains.py SCORES --data DATA [--one full] [--other no-compl]
-    [--image docs/images/completion_gain.png] [--numbers benchmarks/results/completion_gain.json]
+    [--image docs/images/completion_gain.jpg] [--numbers benchmarks/results/completion_gain.json]
 
 SCORES is the --out folder of `composenet eval --data DATA` with both variants. Open only folders
 that you trust: what it keeps of each sequence is a pickle.
@@ -169,7 +169,7 @@ def main(
     data: Path,
     one: str = "full",
     other: str = "no-compl",
-    image: Path = Path("docs/images/completion_gain.png"),
+    image: Path = Path("docs/images/completion_gain.jpg"),
     numbers: Path = Path("benchmarks/results/completion_gain.json"),
 ) -> None:
     """Write the picture and the numbers."""
@@ -182,7 +182,7 @@ def main(
     ahead = [d for d in shown(leads) if d.lead > 0]
     behind = [d for d in shown(worst_first) if d.lead > 0]
     if chosen := [*ahead, *behind]:
-        sheet(chosen, {one: first, other: second}).save(image)
+        sheet(chosen, {one: first, other: second}).save(image, quality=80)
     result = {
         **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
         "command": f"python benchmarks/gains.py {scores} --data {data} --one {one} --other {other}",
