@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import correlate1d
 
 from baseline_scenes import (
     CABINET,
@@ -20,6 +21,7 @@ from baseline_scenes import (
     pillar,
     screen,
 )
+from composenet.baselines import frame_maps
 from composenet.baselines.anonymous_masks import AnonymousMasks
 from composenet.baselines.frame_maps import Maps, measured_maps, normals_of, pyramid, smoothed
 from composenet.baselines.geometric_segmentation import masks_of_pieces, overlap_counts, pieces
@@ -89,6 +91,28 @@ def test_depth_is_smoothed_within_a_surface_and_not_across_a_step() -> None:
     assert np.abs(smooth - depth)[kept].max() < 0.01
 
 
+def test_smoothing_is_a_bilateral_filter() -> None:
+    """Against the sums as they are written in a book, holes and borders included."""
+    draw = np.random.default_rng(3)
+    depth = draw.uniform(1.5, 1.6, (17, 23)).astype(np.float32)
+    depth[:, 12:] += 0.3
+    depth[draw.random(depth.shape) < 0.2] = 0
+    reach = frame_maps._RADIUS_PX
+    expected = np.zeros_like(depth)
+    for v, u in np.argwhere(depth > 0):
+        z = depth[v, u]
+        sigma = frame_maps._SIGMA_M + frame_maps._SIGMA_PER_M2 * z**2
+        rows, columns = np.mgrid[v - reach : v + reach + 1, u - reach : u + reach + 1]
+        seen = (rows >= 0) & (rows < 17) & (columns >= 0) & (columns < 23)
+        rows, columns = rows[seen], columns[seen]
+        others = depth[rows, columns]
+        used = (others > 0) & (abs(others - z) <= 3 * sigma)
+        far = ((rows - v) ** 2 + (columns - u) ** 2) / (2 * frame_maps._SIGMA_PX**2)
+        weights = used * np.exp(-far - (others - z) ** 2 / (2 * sigma**2))
+        expected[v, u] = (weights * others).sum() / weights.sum()
+    np.testing.assert_allclose(smoothed(depth), expected, atol=2e-6)
+
+
 def test_normals_are_those_of_the_plane_and_look_at_the_camera() -> None:
     maps = plane()
     found = normals_of(maps.points)
@@ -103,6 +127,15 @@ def test_coarse_maps_keep_the_rays_of_their_pixels() -> None:
     for level in pyramid(plane(), 3):
         rays = pixel_rays(level.camera)
         np.testing.assert_allclose(level.points / level.points[..., 2:], rays, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (33, 47)])
+def test_coarse_brightness_is_smoothed_before_it_is_halved(shape: tuple[int, int]) -> None:
+    light = np.random.default_rng(4).random(shape).astype(np.float32)
+    kernel = np.array([1, 2, 1]) / 4
+    smooth = correlate1d(correlate1d(light, kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
+    maps = replace(plane(), intensity=light)
+    np.testing.assert_allclose(pyramid(maps, 2)[1].intensity, smooth[::2, ::2], atol=1e-6)
 
 
 # Surfels

@@ -34,7 +34,12 @@ from composenet.baselines.mask_rcnn_network import (
     make_network,
     save_network,
 )
-from composenet.baselines.mask_rcnn_training import Trainer, TrainingOptions, train
+from composenet.baselines.mask_rcnn_training import (
+    SemanticLoss,
+    Trainer,
+    TrainingOptions,
+    train,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -143,6 +148,47 @@ def test_one_frame_is_learned(tmp_path: Path) -> None:
     batch = next(iter(FrameStream(1, 0, 0, SCENES)))
     totals = [trainer.step(batch, 3e-3)["total"] for _ in range(20)]
     assert np.isfinite(totals).all() and np.mean(totals[-3:]) < 0.75 * np.mean(totals[:3])
+
+
+@pytest.fixture
+def semantic() -> SemanticLoss:
+    """That has seen two frames, 72 pixels high and padded to 96: the second is half furniture of
+    label 3, its left half."""
+    network = make_network(TINY).train()
+    loss = SemanticLoss(network, TINY)
+    half = torch.zeros(1, 72, 96, dtype=torch.uint8)
+    half[..., :48] = 1
+    box = {"boxes": torch.tensor([[0.0, 0, 48, 72]]), "labels": torch.tensor([3]), "masks": half}
+    nothing = {
+        "boxes": torch.zeros(0, 4),
+        "labels": torch.zeros(0, dtype=torch.int64),
+        "masks": torch.zeros(0, 72, 96, dtype=torch.uint8),
+    }
+    network([torch.rand(4, 72, 96), torch.rand(4, 72, 96)], [nothing, box])
+    return loss
+
+
+def test_the_loss_of_pixels_counts_them_once_and_no_padding(semantic: SemanticLoss) -> None:
+    with torch.no_grad():
+        semantic.classify.weight.zero_()
+        semantic.classify.bias.copy_(torch.arange(11) / 4)
+    cost = -torch.log_softmax(torch.arange(11) / 4, 0)
+    torch.testing.assert_close(semantic(), cost[0] * 0.75 + cost[3] * 0.25)
+
+
+def test_the_loss_of_pixels_is_small_where_the_pyramid_is_right(semantic: SemanticLoss) -> None:
+    finest = torch.zeros_like(semantic._finest)
+    finest[:, 0] = 40
+    left = finest.shape[-1] // 2
+    finest[1, 0, :, :left], finest[1, 1, :, :left] = 0, 40
+    with torch.no_grad():
+        semantic.classify.weight.zero_()
+        semantic.classify.bias.zero_()
+        semantic.classify.weight[0, 0] = semantic.classify.weight[3, 1] = 1
+    semantic._finest = finest
+    right = semantic()
+    semantic._finest = finest.flip(-1)
+    assert right < 0.25 < 10 < semantic()  # a seam of four pixels is blurred
 
 
 def test_weights_come_back_and_others_are_refused(weights: Path, tmp_path: Path) -> None:

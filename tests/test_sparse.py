@@ -11,6 +11,7 @@ from composenet.network.sparse import (
     build_pyramid,
     neighbor_table,
     submanifold_conv,
+    unique_rows,
 )
 
 
@@ -107,3 +108,18 @@ def test_batches_do_not_mix():
     second = coords[:, 0] == 1
     alone = coords[second] - torch.tensor([1, 0, 0, 0])
     torch.testing.assert_close(net(features[second], build_pyramid(alone, 1, 5)), both[second])
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (1, 4), (300, 4), (300, 2), (40, 1)])
+@pytest.mark.parametrize("low", [0, -7, -(10**4)])
+def test_unique_rows_are_those_of_torch(shape, low):
+    g = torch.Generator().manual_seed(shape[0])
+    rows = torch.randint(low, low + 5, shape, generator=g)
+    unique, place = unique_rows(rows)
+    assert unique.dtype == torch.int64
+    if len(rows):  # torch refuses none
+        expected, expected_place = torch.unique(rows, dim=0, return_inverse=True)
+        assert torch.equal(unique, expected) and torch.equal(place, expected_place)
+    else:
+        assert unique.shape == shape and place.shape == (0,)
+    assert torch.equal(unique[place], rows)

@@ -110,9 +110,11 @@ class SurfelMap:
         """Average the pixels of the mask into the surfels they show, weighted by confidence;
         the others become new surfels. maps: measured. colors: (H, W, 3) float32 in 0..1."""
         lens = pinhole(maps.camera)
+        height, width, _, _, *centre = lens
+        confidence = _centredness(height, width, *centre)
         new = _merged(
             self._values, self._times, centres(self._values, T_camera_body, *lens),
-            maps.points, maps.normals, colors, mask & maps.valid, _centredness(*lens), weight,
+            maps.points, maps.normals, colors, mask & maps.valid, confidence, weight,
             inverse_T(T_camera_body), lens[2], lens[3], time,
         )  # fmt: skip
         self._values = np.concatenate([self._values, new])
@@ -144,9 +146,7 @@ class SurfelMap:
 
 
 @cache
-def _centredness(
-    height: int, width: int, _fx: float, _fy: float, cx: float, cy: float
-) -> NDArray[np.float32]:
+def _centredness(height: int, width: int, cx: float, cy: float) -> NDArray[np.float32]:
     """(H, W) confidence of a measurement: lenses are best in the middle."""
     v, u = np.mgrid[:height, :width]
     square = (u - cx) ** 2 + (v - cy) ** 2
