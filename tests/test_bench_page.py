@@ -80,7 +80,7 @@ def test_the_page(outcomes: dict[Job, Outcome], tmp_path: Path) -> None:
     assert text.startswith("# Benchmark: tiny\n")
     assert "| f2f-gt (1 of 2) |" in text and "| full |" in text
     assert "- not scored: val_00001 (f2f-gt): no depth in it" in text
-    assert "- f2f-gt: true masks, classes and identities (`composenet." in text
+    assert "- f2f-gt: told true masks, classes and identities (`composenet." in text
     assert "### full\n\nNo errors." in text
     assert "### no-corr\n\nNo sequence could be scored." in text and "| no-corr" not in text
     assert "- not scored: val_00000 (no-corr): no memory" in text
@@ -102,6 +102,19 @@ def test_who_leads_over_the_sequences_of_both(outcomes: dict[Job, Outcome]) -> N
     text = markdown(INFO, swapped, Cameras.ESTIMATED)
     assert f"full is {points:.1f} points of MOTA behind f2f-gt" in text and "falls short" in text
     assert "points of MOTA" not in markdown(INFO, {("full", second): worse}, Cameras.GIVEN)
+
+
+def test_who_leads_among_those_given_no_true_masks(outcomes: dict[Job, Outcome]) -> None:
+    worse = next(iter(outcomes.values()))
+    folder = next(path for name, path in outcomes if name == "full")
+    perfect = outcomes["full", folder]
+    rows = {("f2f-gt", folder): perfect, ("maskfusion", folder): worse, ("full", folder): perfect}
+    first, second = re.findall(r"\*\*full is .*", markdown(INFO, rows, Cameras.GIVEN))
+    assert "0.0 points of MOTA ahead of f2f-gt**, the best other row" in first
+    assert "ahead of maskfusion**, the best that is given no true masks" in second
+    assert "falls short" in first and "falls short" not in second
+    del rows["f2f-gt", folder]  # then the best other row is that one, and said once
+    assert len(re.findall(r"\*\*full is", markdown(INFO, rows, Cameras.GIVEN))) == 1
 
 
 def test_worst_frames_of_each_sequence_come_first(outcomes: dict[Job, Outcome]) -> None:

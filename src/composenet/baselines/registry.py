@@ -12,14 +12,14 @@ from composenet.baselines.true_masks import TrueMasks
 
 ROWS: dict[str, Row] = {
     "f2f-gt": Row(FrameToFrame, TrueMasks, told="true masks, classes and identities"),
-    "f2f-mask-rcnn": Row(FrameToFrame, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
+    "f2f-mask-rcnn": Row(FrameToFrame, mask_rcnn_masks, weights=mask_rcnn_weights),
     "maskfusion-gt-masks": Row(
         MaskFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
-    "maskfusion": Row(MaskFusion, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
+    "maskfusion": Row(MaskFusion, mask_rcnn_masks, weights=mask_rcnn_weights),
     "midfusion-gt-masks": Row(
         MidFusion, AnonymousMasks, told="true masks and classes, no identities"
     ),
-    "midfusion": Row(MidFusion, mask_rcnn_masks, told="nothing", weights=mask_rcnn_weights),
+    "midfusion": Row(MidFusion, mask_rcnn_masks, weights=mask_rcnn_weights),
 }
 """By name, in the table's order."""

@@ -69,7 +69,7 @@ def _row_line(name: str) -> str:
     if name in VARIANTS:
         return f"- {name}: {_OURS[name]} (`composenet.pipeline`)."
     row = ROWS[name]
-    return f"- {name}: {row.told} (`{row.make.__module__}`)."
+    return f"- {name}: told {row.told or 'nothing'} (`{row.make.__module__}`)."
 
 
 def _sequence_counts(outcomes: Mapping[Job, Outcome]) -> dict[str, tuple[int, int]]:
@@ -82,27 +82,39 @@ def _sequence_counts(outcomes: Mapping[Job, Outcome]) -> dict[str, tuple[int, in
 
 
 def _lead(outcomes: Mapping[Job, Outcome]) -> list[str]:
-    """How far our full system is ahead of the best other row, over the sequences of both."""
+    """How far our full system is ahead of the best other row, and of the best that sees no true
+    masks, each over the sequences of both."""
     motas: dict[str, dict[Path, float]] = {}
     for (name, folder), outcome in outcomes.items():
         if isinstance(outcome, ScoredSequence):
             motas.setdefault(name, {})[folder] = outcome.scores.clear.mota
-    others = {name: motas[name] for name in ROWS if name in motas}
-    if "full" not in motas or not others:
-        return []
+    ours = motas.pop("full", {})
+    others = {name: row for name, row in motas.items() if name in ROWS}
+    alike = {name: row for name, row in others.items() if ROWS[name].told is None}
+    lines = [_ahead_of(ours, others, "the best other row")]
+    if alike != others:
+        lines.append(_ahead_of(ours, alike, "the best that is given no true masks"))
+    return [line for line in lines if line]
+
+
+def _ahead_of(
+    ours: Mapping[Path, float], others: Mapping[str, Mapping[Path, float]], which: str
+) -> str:
+    """One sentence on the row with the best mean; empty where there is nothing to compare."""
+    if not ours or not others:
+        return ""
     best = max(others, key=lambda name: float(np.nanmean(list(others[name].values()))))
-    shared = [folder for folder in motas["full"] if folder in others[best]]
-    ahead = np.array([motas["full"][folder] - others[best][folder] for folder in shared])
+    shared = [folder for folder in ours if folder in others[best]]
+    ahead = np.array([ours[folder] - others[best][folder] for folder in shared])
     if not np.isfinite(ahead).any():
-        return []
+        return ""
     points, (low, high) = 100 * float(np.nanmean(ahead)), bootstrap_interval(ahead)
     side = "ahead of" if points >= 0 else "behind"
     short = "" if points >= PAPERS_LEAD else " It falls short of the paper's lead."
-    return [
-        f"**full is {abs(points):.1f} points of MOTA {side} {best}**, the best other row (95 % "
-        f"interval of the difference {100 * low:+.1f} to {100 * high:+.1f}; the paper: "
-        f"+{PAPERS_LEAD}).{short}"
-    ]
+    return (
+        f"**full is {abs(points):.1f} points of MOTA {side} {best}**, {which} (95 % interval of "
+        f"the difference {100 * low:+.1f} to {100 * high:+.1f}; the paper: +{PAPERS_LEAD}).{short}"
+    )
 
 
 def _failures(page: Path, outcomes: Mapping[Job, Outcome]) -> str:
