@@ -10,6 +10,8 @@ from composenet.geometry.camera import project
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, FloatArray
 
+MIN_BIRTH_SCORE = 0.8
+"""a weaker mask may continue a track or a model but starts none"""
 _CLOSED = np.ones((3, 3), dtype=bool)
 
 

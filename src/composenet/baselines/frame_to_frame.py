@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from composenet.baselines.association import mask_iou, projected_mask
+from composenet.baselines.association import MIN_BIRTH_SCORE, mask_iou, projected_mask
 from composenet.baselines.camera import FrameToFrameCamera
 from composenet.baselines.icp import MIN_POINTS, Cloud, align
 from composenet.baselines.records import Cameras, InstanceMasks, surface_track
@@ -31,8 +31,6 @@ from composenet.tracking.assignment import assign
 
 MASK_IOU_GATE = 0.2
 """a warped and a new mask that overlap less are two objects"""
-MIN_BIRTH_SCORE = 0.5
-"""a weaker mask may continue a track but starts none"""
 MOVING_M = 0.03
 """an object that moved farther in a frame is first expected to go on, else to rest"""
 MAX_STEP_M = 0.4

@@ -40,6 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from composenet.baselines.association import MIN_BIRTH_SCORE
 from composenet.baselines.frame_maps import Maps, measured_maps, pyramid
 from composenet.baselines.geometric_segmentation import masks_of_pieces, overlap_counts, pieces
 from composenet.baselines.photometric_icp import LEVELS, MIN_PAIRS, align, turned
@@ -54,8 +55,6 @@ PIECE_OVERLAP = 0.6
 """of a piece in no mask, that must show a model for the piece to be the model's"""
 MIN_NEW_PIXELS = 500
 """a smaller mask starts no model"""
-MIN_BIRTH_SCORE = 0.5
-"""nor does a weaker one"""
 BIRTH_WEIGHT = 100.0
 """of the frame that starts a model, when it is fused"""
 FULL_MOTION, MIN_WEIGHT = 0.01, 0.5

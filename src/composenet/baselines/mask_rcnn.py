@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torchvision.models.detection import MaskRCNN
 
 NAME = "mask_rcnn.safetensors"
-MIN_SCORE = 0.3
+MIN_SCORE = 0.5
 """weaker detections are no furniture; what starts a track is up to the systems"""
 DUPLICATE_IOU = 0.5
 """of two masks that overlap more than this, whatever their classes, the weaker is dropped:

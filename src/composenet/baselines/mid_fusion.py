@@ -35,7 +35,8 @@ Deviations, all in its favour where they matter to the scores:
 - what moved out of its model's surface is left out of its fusion by distance, not by brightness;
 - the camera's first guess, where it is not given, is turned by brightness alone first;
 - a mask of 77 pixels starts a model, as in the demonstrations with small objects (the default is
-  ten times as many); a track is claimed only in frames in which a mask is its own;
+  ten times as many), but not if Mask R-CNN is unsure of it (all that it finds start one); a track
+  is claimed only in frames in which a mask is its own;
 - no persons to leave out, and no classes that never move.
 """
 
@@ -44,7 +45,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from composenet.baselines.association import mask_iou
+from composenet.baselines.association import MIN_BIRTH_SCORE, mask_iou
 from composenet.baselines.frame_maps import Maps, measured_maps, pyramid
 from composenet.baselines.geometric_segmentation import overlap_counts, pieces
 from composenet.baselines.hashed_tsdf import HashedTsdf
@@ -162,10 +163,10 @@ class MidFusion:
         owners = []
         for index in range(len(given)):
             pixels = given[index] & maps.valid
-            owner = IGNORED
+            sure, owner = masks.scores[index] >= MIN_BIRTH_SCORE, IGNORED
             if index in pairs:
                 owner = pairs[index] + 1
-            elif usable[index] and pixels.any() and (overlap[index] < NEW_OVERLAP).all():
+            elif sure and usable[index] and pixels.any() and (overlap[index] < NEW_OVERLAP).all():
                 points_world = apply_T(T_world_camera, maps.points[pixels])
                 self._objects.append(Model(len(self._objects), points_world))
                 owner = len(self._objects)
