@@ -25,7 +25,7 @@ from PIL import Image, ImageDraw
 from composenet.commands.failures import Failure, picture
 from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
 from composenet.metrics.clear import MATCH_GATE_M
-from composenet.metrics.evaluate import SEEN_STATES, posed_truths
+from composenet.metrics.evaluate import SEEN_STATES, bootstrap_interval, posed_truths
 from composenet.metrics.objects import PosedTruth
 from composenet.records import CLASS_NAMES, TrackedObject
 from composenet.sequences import open_sequence
@@ -138,6 +138,16 @@ def summary(items: list[Counted], leads: list[Difference]) -> dict[str, object]:
     }
 
 
+def gain(pairs: list[tuple[ScoredSequence, ScoredSequence]]) -> dict[str, object]:
+    """By how many points of MOTA the first of each pair is ahead, and the 95 % interval of that:
+    sequences differ more than variants do, so it is one of differences."""
+    ahead = 100 * np.array([a.scores.clear.mota - b.scores.clear.mota for a, b in pairs])
+    return {
+        "mean": round(float(np.nanmean(ahead)), 2),
+        "interval": [round(bound, 2) for bound in bootstrap_interval(ahead)],
+    }
+
+
 def sheet(
     chosen: list[Difference],
     runs: dict[str, dict[Path, ScoredSequence]],
@@ -190,6 +200,7 @@ def main(
         "one": one,
         "other": other,
         "mota": {name: run["variants"][name]["mota_mean"] for name in (one, other)},
+        "mota_gain": gain([(first[f], second[f]) for f in first]),
         **summary(items, leads),
     }
     numbers.write_text(json.dumps(result, indent=2) + "\n")

@@ -194,16 +194,20 @@ def test_where_one_variant_is_ahead(kept: Path, recordings: Path, tmp_path: Path
     # Missed, and a false track; tracks of objects that do not count are false as well.
     assert data["errors_one_saves"] >= 2 * counted
     assert data["frames_other_leads"] == 0
+    mota, ahead = data["mota"], data["mota_gain"]
+    assert ahead["mean"] == pytest.approx(mota["full"] - mota["no-compl"], abs=0.01)
+    assert 100 < ahead["interval"][0] <= ahead["mean"] <= ahead["interval"][1]
     assert data["center_error_cm_of_found_by_both"] == [None, None]
 
     gains.main(kept, recordings, one="no-compl", other="full", image=image, numbers=numbers)
     turned = json.loads(numbers.read_text())
     assert turned["found_by_other_only"] == counted
     assert turned["errors_one_saves"] == -data["errors_one_saves"]
+    assert turned["mota_gain"]["interval"] == [-x for x in reversed(ahead["interval"])]
     gains.main(kept, recordings, other="full", image=tmp_path / "none", numbers=numbers)
     assert not (tmp_path / "none").exists()  # no frame differs
     same = json.loads(numbers.read_text())
-    assert same["found_by_both"] == counted
+    assert same["found_by_both"] == counted and same["mota_gain"]["interval"] == [0, 0]
     assert same["center_error_cm_of_found_by_both"] == [1.0, 1.0]
 
 
