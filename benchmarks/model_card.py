@@ -16,6 +16,7 @@ from typing import Any
 import tyro
 from safetensors import safe_open
 
+from composenet.commands.scoring import VARIANTS
 from composenet.network.weights import default_weights, load_weights, weights_id
 from composenet.records import CLASS_NAMES
 
@@ -94,6 +95,7 @@ def _overall(runs: Mapping[str, Any]) -> list[str]:
         (f"{run['data']}, {variant}{_offline(run)}", *(_number(values[key]) for key in COLUMNS))
         for run in runs.values()
         for variant, values in run["variants"].items()
+        if variant in VARIANTS  # and not a comparison system
     ]
     origin = [
         f"- `{name}`: commit {run['commit']}, {run['date']}, seed {run['seed']}, "

@@ -30,7 +30,8 @@ def results(tmp_path: Path) -> Path:
         "mota_per_class": per_class | {"bed": -65.8, "sink": None},
     }
     run = {"data": "tiny", "commit": "abc", "date": "2026-01-01", "seed": 0, "hardware": "one core"}
-    run |= {"command": "composenet eval", "weights": "w sha256:1", "variants": {"full": variant}}
+    rows = {"full": variant, "f2f-gt": variant}
+    run |= {"command": "composenet bench", "weights": "w sha256:1", "variants": rows}
     (tmp_path / "own.json").write_text(json.dumps(run))
     (tmp_path / "old.json").write_text(json.dumps(run | {"weights": "w sha256:0", "data": "past"}))
     (tmp_path / "parity.json").write_text("{}")
@@ -40,6 +41,7 @@ def results(tmp_path: Path) -> Path:
 def test_only_figures_of_these_weights_are_shown(results: Path) -> None:
     text = "\n".join(figures("w sha256:1", results))
     assert "| tiny, full | 3 | 12.3 |" in text and "past" not in text
+    assert "f2f-gt" not in text  # a comparison system has no share in these weights
     assert "not shown here: old.json (w sha256:0)." in text
     assert "| tiny, MOTA | 50.0 | -65.8 |" in text and "- tiny: bed (-66)" in text
     assert "not shown here: old.json" in text and "Confidence" not in text
