@@ -4,8 +4,8 @@ picture of the frames in which they differ most.
 python benchmarks/gains.py SCORES --data DATA [--one full] [--other no-compl]
     [--image docs/images/completion_gain.jpg] [--numbers benchmarks/results/completion_gain.json]
 
-SCORES is the --out folder of `composenet eval --data DATA` with both variants. Open only folders
-that you trust: what it keeps of each sequence is a pickle.
+SCORES is the --out folder of `composenet eval` or `composenet bench` over DATA, with both variants.
+Open only folders that you trust: what it keeps of each sequence is a pickle.
 """
 
 from __future__ import annotations

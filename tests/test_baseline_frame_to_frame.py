@@ -17,14 +17,11 @@ from baseline_scenes import (
     motion_errors,
     pillar,
     screen,
+    without_ids,
 )
 from composenet.baselines.frame_to_frame import END_AFTER_FRAMES, FrameToFrame
 from composenet.baselines.records import Cameras
 from composenet.records import TrackedObject, TrackState
-
-
-def without_ids(seen: Seen) -> Seen:
-    return replace(seen, masks=replace(seen.masks, gt_ids=None))
 
 
 def follow(scenes: list[Seen], cameras: Cameras = Cameras.GIVEN) -> list[tuple[TrackedObject, ...]]:

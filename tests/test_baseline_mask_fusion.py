@@ -20,6 +20,7 @@ from baseline_scenes import (
     motion_errors,
     pillar,
     screen,
+    without_ids,
 )
 from composenet.baselines import frame_maps
 from composenet.baselines.anonymous_masks import AnonymousMasks
@@ -336,10 +337,6 @@ def test_masks_are_mended_by_pieces_and_pieces_need_most_of_a_mask() -> None:
 
 
 # The whole
-
-
-def without_ids(seen: Seen) -> Seen:
-    return replace(seen, masks=replace(seen.masks, gt_ids=None))
 
 
 def follow(scenes: list[Seen], cameras: Cameras = Cameras.GIVEN) -> list[tuple[TrackedObject, ...]]:

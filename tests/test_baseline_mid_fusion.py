@@ -18,6 +18,7 @@ from baseline_scenes import (
     motion_errors,
     pillar,
     screen,
+    without_ids,
 )
 from composenet.baselines.frame_maps import Maps, pyramid
 from composenet.baselines.mid_fusion import AT_REST, MidFusion, grown_masks, shared_of_smaller
@@ -141,10 +142,6 @@ def test_voxels_grow_with_the_object() -> None:
 
 
 # The whole
-
-
-def without_ids(seen: Seen) -> Seen:
-    return replace(seen, masks=replace(seen.masks, gt_ids=None))
 
 
 def follow(scenes: list[Seen], cameras: Cameras = Cameras.GIVEN) -> list[tuple[TrackedObject, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from baseline_scenes import CAMERA, CHAIR, cabinet, camera_pose, look
-from composenet.baselines.association import mask_iou, projected_mask
+from baseline_scenes import CAMERA, CHAIR, cabinet, camera_pose, look, without_ids
+from composenet.baselines.association import MIN_BIRTH_SCORE, mask_iou, projected_mask
+from composenet.baselines.frame_to_frame import FrameToFrame
 from composenet.baselines.icp import Cloud, align
-from composenet.baselines.records import Cameras
+from composenet.baselines.mask_fusion import MaskFusion
+from composenet.baselines.mid_fusion import MidFusion
+from composenet.baselines.records import Cameras, ComparisonSystem
 from composenet.baselines.run import shown_poses
 from composenet.baselines.start_shift import start_at_true_centres
 from composenet.baselines.true_masks import TrueMasks
@@ -198,3 +202,17 @@ def test_the_start_shift_is_given_once_and_only_on_an_object_of_the_class() -> N
         [e.box.center for e in second], [(4, 0, 0.5), (2, 0, 0.5)], atol=1e-9
     )
     assert start_at_true_centres(truth_of({}), []) == []
+
+
+@pytest.mark.parametrize("make", [FrameToFrame, MaskFusion, MidFusion])
+def test_an_unsure_mask_continues_a_track_but_starts_none(
+    make: Callable[[Cameras], ComparisonSystem],
+) -> None:
+    system, box = make(Cameras.GIVEN), cabinet(2.5, 0.0)
+    seen_in = []
+    for i, score in enumerate([0.5, MIN_BIRTH_SCORE - 0.01, MIN_BIRTH_SCORE, 0.5]):
+        scene = without_ids(look(i, [box]))
+        masks = replace(scene.masks, scores=np.array([score], np.float32))
+        entries = system(scene.frame, masks)
+        seen_in.append(sum(entry.observed for entry in entries))
+    assert seen_in == [0, 0, 1, 1]

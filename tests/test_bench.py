@@ -123,7 +123,10 @@ def test_the_f2f_gt_row_is_the_same_for_any_number_of_workers_and_after_an_inter
     assert again == [("val_00002", "f2f-gt")] and numbers(one) == rows
     text = (one / "results.md").read_text()
     assert "Camera poses: given to all alike." in text
-    assert "f2f-gt: told true masks, classes and identities (" in text and "true centre" in text
+    assert (
+        "f2f-gt: told true masks, classes and identities; where each track starts (" in text
+        and "true centre" in text
+    )
 
 
 def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> None:

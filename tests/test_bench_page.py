@@ -80,7 +80,7 @@ def test_the_page(outcomes: dict[Job, Outcome], tmp_path: Path) -> None:
     assert text.startswith("# Benchmark: tiny\n")
     assert "| f2f-gt (1 of 2) |" in text and "| full |" in text
     assert "- not scored: val_00001 (f2f-gt): no depth in it" in text
-    assert "- f2f-gt: told true masks, classes and identities (`composenet." in text
+    assert "- f2f-gt: told true masks, classes and identities; where each track starts (" in text
     assert "### full\n\nNo errors." in text
     assert "### no-corr\n\nNo sequence could be scored." in text and "| no-corr" not in text
     assert "- not scored: val_00000 (no-corr): no memory" in text
@@ -113,6 +113,7 @@ def test_who_leads_among_those_given_no_true_masks(outcomes: dict[Job, Outcome])
     assert "0.0 points of MOTA ahead of f2f-gt**, the best other row" in first
     assert "ahead of maskfusion**, the best that is given no true masks" in second
     assert "falls short" in first and "falls short" not in second
+    assert "- maskfusion: told where each track starts (" in markdown(INFO, rows, Cameras.GIVEN)
     del rows["f2f-gt", folder]  # then the best other row is that one, and said once
     assert len(re.findall(r"\*\*full is", markdown(INFO, rows, Cameras.GIVEN))) == 1
 

@@ -69,7 +69,9 @@ def _row_line(name: str) -> str:
     if name in VARIANTS:
         return f"- {name}: {_OURS[name]} (`composenet.pipeline`)."
     row = ROWS[name]
-    return f"- {name}: told {row.told or 'nothing'} (`{row.make.__module__}`)."
+    told = [row.told] if row.told else []
+    what = "; ".join([*told, "where each track starts"])
+    return f"- {name}: told {what} (`{row.make.__module__}`)."
 
 
 def _sequence_counts(outcomes: Mapping[Job, Outcome]) -> dict[str, tuple[int, int]]:
