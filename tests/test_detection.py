@@ -26,6 +26,7 @@ from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.records import Box
+from composenet.volume.memory import FreeSpace
 from composenet.volume.voxels import Volume
 from conftest import TINY
 
@@ -129,8 +130,9 @@ def field_of(things: Sequence[Thing], frames: int = 1) -> tuple[VoxelFields, Vol
     depth = torch.zeros(frames, 4, 4)
     seen = torch.zeros(len(coords), dtype=torch.bool)
     batch = VolumeBatch(
-        coords, fields.features, seen, depth, eye[:, :3, :3], eye, depth[:, 0, 0], VOXEL_M
-    )
+        coords, fields.features, seen, depth[..., None] > 0, eye[:, 0, :3], depth, eye[:, :3, :3],
+        eye, depth[:, 0, 0], VOXEL_M,
+    )  # fmt: skip
     return fields, batch
 
 
@@ -371,6 +373,7 @@ def block_volume(quarter_turns: int, n_seen: int) -> tuple[Volume, Box]:
         np.zeros((len(coords), 12), np.float32),
         np.zeros(len(coords), np.int32),
         n_seen,
+        FreeSpace.nothing(),
         (16, 16, 16),
         VOXEL_M,
         T,

@@ -14,7 +14,7 @@ from composenet.network.batch import CropBatch, collate
 from composenet.network.crop_inputs import crop_inputs
 from composenet.records import Box, Frame, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.targets import UNKNOWN, forget_moved
-from composenet.volume.memory import SurfaceMemory
+from composenet.volume.memory import Memory
 from composenet.volume.voxels import FEATURE_NAMES, OLD_FRAMES, Volume, voxelize
 from tracking_scenes import frame, screen
 
@@ -29,7 +29,7 @@ AGE = FEATURE_NAMES.index("age")
 
 def seen_after(*views: Frame, config: VolumeConfig = CONFIG, ids: list | None = None) -> Volume:
     """The volume of the last frame, with what those before it saw."""
-    memory = SurfaceMemory(config.memory_frames)
+    memory = Memory(config.memory_frames)
     for i, view in enumerate(views):
         volume = voxelize(view, config, ids[i] if ids else None, memory)
         assert volume is not None

@@ -12,6 +12,7 @@ from composenet.detection import propose, second_look
 from composenet.network.batch import VolumeBatch
 from composenet.network.mirror import Mirror
 from composenet.network.model import ComposeNet
+from composenet.volume.memory import FREE_CELL_M
 from composenet.volume.voxels import FEATURE_NAMES
 
 SIZE_M = 0.05
@@ -41,6 +42,8 @@ def scene() -> VolumeBatch:
         coords=coords,
         features=torch.randn(len(coords), len(FEATURE_NAMES), generator=g),
         remembered=torch.zeros(len(coords), dtype=torch.bool),
+        free=torch.rand(2, 17, 13, 9, generator=g) < 0.5,
+        free_low=torch.rand(2, 3, generator=g) - 0.7,
         depth_m=2 * torch.rand(2, 6, 6, generator=g),
         K=K.expand(2, 3, 3),
         T_camera_grid=T_camera_grid.expand(2, 4, 4),
@@ -56,9 +59,12 @@ def mirrored(batch: VolumeBatch) -> VolumeBatch:
     features[:, SIDEWAYS] = -features[:, SIDEWAYS]
     image = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0]))
     image[1, 3] = 30 * SIZE_M
+    low = batch.free_low.clone()
+    low[:, 1] = 30 * SIZE_M - low[:, 1] - 13 * FREE_CELL_M
     return replace(
-        batch, coords=coords, features=features, T_camera_grid=batch.T_camera_grid @ image
-    )
+        batch, coords=coords, features=features, free=batch.free.flip(2), free_low=low,
+        T_camera_grid=batch.T_camera_grid @ image,
+    )  # fmt: skip
 
 
 def flip(points: torch.Tensor, width: float) -> torch.Tensor:

@@ -17,6 +17,7 @@ from composenet.network.detection_head import VoxelFields
 from composenet.network.object_net import HEADING_BINS, ObjectFields
 from composenet.objects import COMPLETED_SHARE, estimate_objects
 from composenet.records import CLASS_NAMES, ObjectEstimate
+from composenet.volume.memory import FreeSpace
 from composenet.volume.voxels import FEATURE_NAMES, Volume
 
 CELLS = 32
@@ -59,6 +60,7 @@ def volume_of(quarter: int) -> Volume:
         features=np.zeros((1, len(FEATURE_NAMES)), np.float32),
         labels=np.zeros(1, np.int32),
         n_seen=1,
+        free=FreeSpace.nothing(),
         shape=(96, 96, 48),
         voxel_size_m=0.05,
         T_world_grid=make_T(R, np.array([1.0, -3.0, -0.1])),

@@ -262,6 +262,8 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
             torch.zeros(1, 4).long(),
             torch.zeros(1, 1),
             torch.zeros(1, dtype=torch.bool),
+            torch.zeros(1, 0, 0, 0, dtype=torch.bool),
+            torch.zeros(1, 3),
             depth,
             K,
             (look @ torch.linalg.inv(turn))[None],

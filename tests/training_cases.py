@@ -17,6 +17,7 @@ from composenet.training.disk import disk_scene
 from composenet.training.loop import RunOptions
 from composenet.training.processes import Group
 from composenet.training.targets import TrainingBatch, collate_samples, make_sample
+from composenet.volume.memory import FreeSpace
 from composenet.volume.voxels import FEATURE_NAMES, Volume
 from conftest import TINY
 
@@ -45,6 +46,7 @@ def volume_of(label: int = 3, quarter: float = 1.0) -> Volume:
         features=np.zeros((40, len(FEATURE_NAMES)), np.float32),
         labels=np.where(np.arange(40) < 30, label, 0).astype(np.int32),
         n_seen=40,
+        free=FreeSpace.nothing(),
         shape=(32, 32, 32),
         voxel_size_m=SIZE_M,
         T_world_grid=make_T(np.round(rotation_z(quarter * np.pi / 2)), np.array([2.0, 1.0, -0.2])),

@@ -23,7 +23,7 @@ from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
 from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.tracker import Tracker
-from composenet.volume.memory import SurfaceMemory
+from composenet.volume.memory import Memory
 from composenet.volume.voxels import Volume, voxelize
 
 
@@ -65,7 +65,7 @@ class ObjectTracker:
 
     def __init__(self, network: ComposeNet, config: Config, device: torch.device) -> None:
         self.network, self.config, self.device = network, config, device
-        self._memory = SurfaceMemory(config.volume.memory_frames)
+        self._memory = Memory(config.volume.memory_frames)
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
 
     def __call__(self, frame: Frame) -> FrameResult:

@@ -19,13 +19,17 @@ class VolumeBatch:
     """B frames. Grid frame of each, metres.
 
     coords: (N, 4) int64 rows of (frame, x, y, z). features: (N, C). remembered: (N,) bool, voxels
-    that only earlier frames saw. depth_m: (B, H, W). K: (B, 3, 3). T_camera_grid: (B, 4, 4).
-    floor_z: (B,) z of the world's floor plane (z = 0) in the grid frame.
+    that only earlier frames saw. free: (B, X, Y, Z) bool cells of edge FREE_CELL_M seen to be
+    empty, now or earlier. free_low: (B, 3) corners of the first ones, metres. depth_m: (B, H, W).
+    K: (B, 3, 3). T_camera_grid: (B, 4, 4). floor_z: (B,) z of the world's floor plane (z = 0) in
+    the grid frame.
     """
 
     coords: Tensor
     features: Tensor
     remembered: Tensor
+    free: Tensor
+    free_low: Tensor
     depth_m: Tensor
     K: Tensor
     T_camera_grid: Tensor
@@ -101,12 +105,18 @@ def collate(volumes: Sequence[Volume]) -> VolumeBatch:
         np.concatenate([np.full((len(v.coords), 1), i), v.coords], axis=1)
         for i, v in enumerate(volumes)
     ]
+    spaces = [v.free.cells for v in volumes]
+    free = np.zeros((len(spaces), *np.max([space.shape for space in spaces], axis=0)), np.bool_)
+    for row, space in zip(free, spaces, strict=True):
+        row[tuple(map(slice, space.shape))] = space
     return VolumeBatch(
         coords=torch.from_numpy(np.concatenate(rows).astype(np.int64)),
         features=torch.from_numpy(np.concatenate([v.features for v in volumes])),
         remembered=torch.from_numpy(
             np.concatenate([np.arange(len(v.coords)) >= v.n_seen for v in volumes])
         ),
+        free=torch.from_numpy(free),
+        free_low=torch.from_numpy(np.stack([v.free.low for v in volumes]).astype(np.float32)),
         depth_m=torch.from_numpy(np.stack([v.depth_m for v in volumes])),
         K=torch.from_numpy(np.stack([v.K for v in volumes]).astype(np.float32)),
         T_camera_grid=torch.from_numpy(

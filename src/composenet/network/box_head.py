@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
-from composenet.network.crop_inputs import crop_inputs
+from composenet.network.crop_inputs import N_CHANNELS, crop_inputs
 from composenet.network.detection_head import VoxelFields
 
 CONTEXT = 1.5
@@ -68,7 +68,7 @@ class BoxHead(nn.Module):
             nn.LayerNorm(64), nn.ReLU(), nn.Linear(64, 128), nn.LayerNorm(128), nn.ReLU()
         )
         self.space = nn.Sequential(
-            nn.Conv3d(3, 16, 3, padding=1),
+            nn.Conv3d(N_CHANNELS, 16, 3, padding=1),
             nn.ReLU(),
             nn.Conv3d(16, 32, 3, stride=2, padding=1),
             nn.ReLU(),

@@ -15,6 +15,7 @@ from composenet.network.batch import VolumeBatch
 from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
+from composenet.volume.memory import FREE_CELL_M
 from composenet.volume.voxels import FEATURE_NAMES
 
 _SIDEWAYS = [FEATURE_NAMES.index(name) for name in ("offset_y", "normal_y", "view_y")]
@@ -44,7 +45,12 @@ class Mirror:
         T_grid_image = torch.diag(batch.T_camera_grid.new_tensor([1.0, -1.0, 1.0, 1.0]))
         T_grid_image[1, 3] = width_m
         T_camera_image = batch.T_camera_grid @ T_grid_image
-        image = replace(batch, coords=coords, features=features, T_camera_grid=T_camera_image)
+        free_low = batch.free_low.clone()
+        free_low[:, 1] = width_m - free_low[:, 1] - batch.free.shape[2] * FREE_CELL_M
+        image = replace(
+            batch, coords=coords, features=features, T_camera_grid=T_camera_image,
+            free=batch.free.flip(2), free_low=free_low,
+        )  # fmt: skip
         return Mirror(image, network.voxel_fields(image), width_m)
 
     def agreed(self, fields: VoxelFields) -> tuple[VoxelFields, Mirror]:

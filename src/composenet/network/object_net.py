@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import voxels_inside
-from composenet.network.crop_inputs import crop_inputs
+from composenet.network.crop_inputs import N_CHANNELS, crop_inputs
 from composenet.network.detection_head import VoxelFields
 
 HEADING_BINS = 12
@@ -101,7 +101,7 @@ class HeadingNet(nn.Module):
     def __init__(self, n_classes: int) -> None:
         super().__init__()
         self.encode = nn.Sequential(
-            nn.Conv3d(3, 16, 3, stride=2, padding=1, bias=False),
+            nn.Conv3d(N_CHANNELS, 16, 3, stride=2, padding=1, bias=False),
             nn.BatchNorm3d(16),
             nn.ReLU(),
             nn.Conv3d(16, 32, 3, stride=2, padding=1, bias=False),
@@ -136,7 +136,7 @@ class ObjectNet(nn.Module):
         super().__init__()
         c1, c2, c3 = channels
         self.embed_features = nn.Linear(c_features, c1)
-        self.embed_tsdf = nn.Conv3d(3, c1, 2, stride=2)
+        self.embed_tsdf = nn.Conv3d(N_CHANNELS, c1, 2, stride=2)
         self.embed_position = nn.Conv3d(4, c1, 1)
         self.encode1 = _conv(c1, c1)
         self.encode2 = nn.Sequential(_down(c1, c2), _conv(c2, c2), _conv(c2, c2))

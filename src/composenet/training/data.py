@@ -23,7 +23,7 @@ from composenet.training.targets import (
     forget_moved,
     make_sample,
 )
-from composenet.volume.memory import SurfaceMemory
+from composenet.volume.memory import Memory
 from composenet.volume.voxels import voxelize
 
 LONGEST_STEP = 4
@@ -63,7 +63,7 @@ def samples_of_scene(
     times = range(start, scene.n_frames, step)[:length]
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(times, count, replace=False).tolist())
-    memory = SurfaceMemory(config.model.volume.memory_frames)
+    memory = Memory(config.model.volume.memory_frames)
     for i in times:
         rendered = scene.render(i, color=False)
         truth = scene.frame_truth(i, rendered.ids)

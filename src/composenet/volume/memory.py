@@ -1,17 +1,19 @@
-"""What earlier frames saw and the present one does not contradict.
+"""What earlier frames saw and the present one does not contradict: surfaces, and empty space.
 
 A camera that moves sees an object's sides one after the other. The surface voxels of the last
 frames are kept in the world frame and given to the network beside the frame's own (the paper looks
 at each frame alone). What the present frame sees is taken from it alone; only what it cannot see
 is remembered: surfaces hidden behind others, outside the image, or on pixels without depth.
 Whatever the camera sees through is forgotten, so that an object that moved leaves nothing behind
-where one can look.
+where one can look. Space that was seen to be empty is remembered in coarse cells until a surface is
+seen there: where an object may reach, and where it cannot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,10 @@ LOWEST_M = 0.08
 """The floor is not worth remembering: surfaces below this height are forgotten at once."""
 HIGHEST_M = 2.2
 """Neither is the ceiling."""
+FREE_CELL_M = 0.1
+"""Edge of a cell of empty space."""
+_WINDOW_CELLS = (160, 160, 22)  # around the camera, from the floor up
+_NEVER = np.iinfo(np.int32).min
 
 
 @dataclass(frozen=True)
@@ -62,13 +68,44 @@ class Surface:
         return Surface(*(np.concatenate(pair) for pair in pairs))
 
 
-class SurfaceMemory:
-    """The remembered surface of one recording."""
+@dataclass(frozen=True)
+class FreeSpace:
+    """Space seen to be empty. cells: (X, Y, Z) bool, of edge FREE_CELL_M. low: (3,) corner of the
+    first cell, metres, in the world or in axes turned against it by quarters."""
+
+    cells: NDArray[np.bool_]
+    low: NDArray[np.float64]
+
+    @staticmethod
+    def nothing() -> FreeSpace:
+        """No cell at all."""
+        return FreeSpace(np.zeros((0, 0, 0), np.bool_), np.zeros(3))
+
+    def turned(self, R: NDArray[np.float64]) -> FreeSpace:
+        """The same space with other axes: p -> R p. R: a quarter turn about z."""
+        order = np.abs(R).argmax(axis=1)
+        back = tuple(np.flatnonzero(R[np.arange(3), order] < 0))
+        ends = np.stack([self.low, self.low + FREE_CELL_M * np.array(self.cells.shape)]) @ R.T
+        return FreeSpace(np.flip(self.cells.transpose(order), back), ends.min(axis=0))
+
+    def within(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> FreeSpace:
+        """The part of it whose cells touch a box."""
+        first = np.floor((low - self.low) / FREE_CELL_M).astype(int)
+        last = np.ceil((high - self.low) / FREE_CELL_M).astype(int)
+        first, last = (np.clip(cell, 0, self.cells.shape) for cell in (first, last))
+        part = self.cells[tuple(map(slice, first, np.maximum(first, last)))]
+        return FreeSpace(np.ascontiguousarray(part), self.low + FREE_CELL_M * first)
+
+
+class Memory:
+    """The remembered surface and empty space of one recording."""
 
     def __init__(self, frames: int) -> None:
         """frames: what no frame has seen for longer than this is forgotten."""
         self.frames = frames
         self._surface = Surface.nothing()
+        self._emptied = np.full(_WINDOW_CELLS, _NEVER, np.int32)  # the frame that saw it last
+        self._corner = np.zeros(3, np.int64)  # the window's first cell, counted from the world's
 
     def recall(
         self,
@@ -90,6 +127,67 @@ class SurfaceMemory:
         """Keep what was recalled and what the frame saw, world frame. No voxel twice."""
         height = surface.points[:, 2]
         self._surface = surface[(height > LOWEST_M) & (height < HIGHEST_M)]
+
+    def free_space(
+        self,
+        index: int,
+        depth_m: NDArray[np.float32],
+        K: NDArray[np.float64],
+        T_world_camera: NDArray[np.float64],
+    ) -> FreeSpace:
+        """Space around the camera that frame `index` or one before it saw to be empty, and where
+        none has seen a surface since; world frame."""
+        self._move_window(T_world_camera[:3, 3])
+        low = self._corner * FREE_CELL_M
+        _empty(self._emptied, low, depth_m, K, inverse_T(T_world_camera), index)
+        known = self._emptied != _NEVER
+        return FreeSpace(known & (np.abs(index - self._emptied) <= self.frames), low)
+
+    def _move_window(self, eye: NDArray[np.float64]) -> None:
+        """Such that the camera is in its middle; what falls out is forgotten."""
+        corner = np.round(eye / FREE_CELL_M).astype(np.int64) - np.array(_WINDOW_CELLS) // 2
+        corner[2] = 0
+        shift = corner - self._corner
+        if not shift.any():
+            return
+        moved, size = np.full(_WINDOW_CELLS, _NEVER, np.int32), np.array(_WINDOW_CELLS)
+        if (np.abs(shift) < size).all():
+            to = tuple(map(slice, np.maximum(-shift, 0), size - np.maximum(shift, 0)))
+            of = tuple(map(slice, np.maximum(shift, 0), size - np.maximum(-shift, 0)))
+            moved[to] = self._emptied[of]
+        self._emptied, self._corner = moved, corner
+
+
+@numba.njit(cache=True, nogil=True)
+def _empty(emptied, low, depth_m, K, T_camera_world, index):
+    """Mark, in place, the cells whose centre frame `index` sees through, and unmark those on the
+    surface it sees; the rest stays. By more, and less, than half a cell and the noise of depth."""
+    height, width = depth_m.shape
+    nx, ny, nz = emptied.shape
+    T = T_camera_world
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                a = low[0] + (i + 0.5) * FREE_CELL_M
+                b = low[1] + (j + 0.5) * FREE_CELL_M
+                c = low[2] + (k + 0.5) * FREE_CELL_M
+                z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+                if z <= 0.1:
+                    continue
+                x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
+                y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
+                u = np.floor(K[0, 0] * x / z + K[0, 2] + 0.5)
+                v = np.floor(K[1, 1] * y / z + K[1, 2] + 0.5)
+                if u < 0 or v < 0 or u >= width or v >= height:
+                    continue
+                measured = depth_m[int(v), int(u)]
+                if measured <= 0:
+                    continue
+                gap = FREE_CELL_M / 2 + 0.03 + 0.01 * measured * measured
+                if z < measured - gap:
+                    emptied[i, j, k] = index
+                elif z <= measured + gap:
+                    emptied[i, j, k] = _NEVER
 
 
 def _hidden(

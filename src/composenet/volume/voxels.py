@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from composenet.config import VolumeConfig
 from composenet.geometry.transform import make_T
 from composenet.records import Frame
-from composenet.volume.memory import Surface, SurfaceMemory
+from composenet.volume.memory import FreeSpace, Memory, Surface
 
 FEATURE_NAMES = (
     "offset_x",
@@ -43,6 +43,7 @@ class Volume:
     remembered ones. features: (N, len(FEATURE_NAMES)) float32. labels: (N,) int32, majority
     instance id of the voxel's pixels (zeros without an id image). n_seen: how many of the N
     voxels the frame itself sees.
+    free: what this frame and earlier ones saw to be empty, grid frame.
     shape: cells of the grid, multiples of 16. T_world_grid: (4, 4), grid metres to world; voxel
     (i, j, k) is centred at voxel_size_m * (i, j, k). depth_m (H, W), K (3, 3) and T_camera_grid
     (4, 4) are the frame's.
@@ -52,6 +53,7 @@ class Volume:
     features: NDArray[np.float32]
     labels: NDArray[np.int32]
     n_seen: int
+    free: FreeSpace
     shape: tuple[int, int, int]
     voxel_size_m: float
     T_world_grid: NDArray[np.float64]
@@ -202,7 +204,7 @@ def voxelize(
     frame: Frame,
     config: VolumeConfig,
     ids: NDArray[np.integer] | None = None,
-    memory: SurfaceMemory | None = None,
+    memory: Memory | None = None,
 ) -> Volume | None:
     """Surface voxels of one frame, or None where the frame has no usable depth.
 
@@ -224,6 +226,7 @@ def voxelize(
     if valid.sum() < 100:
         return None
     memory = memory if frame.pose_known else None
+    free = (memory or Memory(0)).free_space(frame.index, depth_m, K, T_world_camera).turned(R.T)
     old = Surface.nothing()
     if memory is not None:
         old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
@@ -253,8 +256,11 @@ def voxelize(
         labels = np.concatenate([labels, old.labels])
     T_world_grid = make_T(R, R @ low)
     T_camera_grid = np.linalg.inv(T_world_camera) @ T_world_grid
+    beyond = config.memory_reach_m
+    free = free.within(low - beyond, low + np.array(shape) * size + beyond)
+    free = replace(free, low=free.low - low)
     return Volume(
-        coords, features, labels, n_seen, shape, size, T_world_grid, depth_m, K, T_camera_grid
+        coords, features, labels, n_seen, free, shape, size, T_world_grid, depth_m, K, T_camera_grid
     )
 
 
