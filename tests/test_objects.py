@@ -129,6 +129,12 @@ def cell_m(proposals: Proposals) -> float:
     return float(proposals.extents.max()) * CONFIG.network.crop_margin / CELLS
 
 
+def crop_m3(proposals: Proposals) -> float:
+    margin = CONFIG.network.crop_margin
+    crop = CropBatch.around(torch.zeros(1), proposals.center, proposals.extents, margin)
+    return crop.size.prod().item()
+
+
 @pytest.mark.parametrize("quarter", QUARTERS)
 @pytest.mark.parametrize("shift_m", [0.0, 0.06])
 def test_pose_size_and_box_of_a_known_block(quarter: int, shift_m: float) -> None:
@@ -158,10 +164,8 @@ def test_points_lie_in_the_block_and_correspond() -> None:
     local = (found.points_world - BLOCK.center) @ BLOCK.R
     assert np.all(np.abs(local) <= BLOCK.extents_m / 2 + 1e-3)
     np.testing.assert_allclose(found.points_canonical, local / BLOCK.scale_m, atol=2e-3)
-    proposals, margin = proposals_of(volume, BLOCK), CONFIG.network.crop_margin
-    crop = CropBatch.around(torch.zeros(1), proposals.center, proposals.extents, margin)
-    volume_m3 = len(found.points_world) * crop.size.prod().item() / CELLS**3
-    assert volume_m3 == pytest.approx(np.prod(BLOCK.extents_m), rel=0.05)
+    filled_m3 = len(found.points_world) * crop_m3(proposals_of(volume, BLOCK)) / CELLS**3
+    assert filled_m3 == pytest.approx(np.prod(BLOCK.extents_m), rel=0.05)
 
 
 @pytest.mark.parametrize("quarter", QUARTERS)
@@ -198,9 +202,25 @@ def test_correspondences_on_a_line_fix_no_pose() -> None:
     (found,) = estimated(volume, Oracle(BLOCK, volume, collapsed=True), proposals_of(volume, BLOCK))
     assert not found.pose_observable
     S = found.S_world_canonical
-    np.testing.assert_array_equal(S.R, np.eye(3))
-    np.testing.assert_array_equal(S.t, found.box.center)
-    assert S.scale_m == pytest.approx(np.linalg.norm(found.box.extents))
+    np.testing.assert_allclose(S.R, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(S.t, found.box.center, atol=0.02)
+    assert S.scale_m == pytest.approx(np.linalg.norm(found.box.extents), rel=0.02)
+    # the reconstruction is of that similarity: placed by it, it fills the object's own box
+    points = (np.argwhere(found.canonical >= 0.5) + 0.5) / 64 - 0.5
+    placed = S.scale_m * points @ S.R.T + S.t
+    bounds = BLOCK.bounds
+    np.testing.assert_allclose(placed.min(axis=0), bounds.center - bounds.extents / 2, atol=0.1)
+    np.testing.assert_allclose(placed.max(axis=0), bounds.center + bounds.extents / 2, atol=0.1)
+
+
+def test_without_completion_thin_surfaces_stay_whole() -> None:
+    volume, thin = volume_of(0), replace(BLOCK, extents_m=np.array([0.07, 1.6, 0.9]))
+    proposals = proposals_of(volume, thin)
+    (seen,) = estimated(volume, Oracle(thin, volume), proposals, NO_COMPLETION)
+    S = seen.S_world_canonical
+    in_canonical = float((seen.canonical >= 0.5).sum()) * (S.scale_m / 64) ** 3
+    in_crop = len(seen.points_world) * crop_m3(proposals) / CELLS**3
+    assert in_canonical == pytest.approx(in_crop, rel=0.1)
 
 
 def test_no_proposals_no_objects_and_empty_ones_are_dropped() -> None:

@@ -225,8 +225,30 @@ def test_an_unobservable_pose_keeps_rotation_shape_and_model():
 
 
 def test_an_unobservable_pose_is_replaced_by_the_first_observable():
-    _, outputs = run([(None, [thing(3, 0, observable=False)]), (None, [thing(3, 0, yaw=0.3)])])
+    vague, posed = thing(3, 0, canonical=EMPTY, observable=False), thing(3, 0, yaw=0.3)
+    tracker, outputs = run([(None, [vague]), (None, [posed])])
     np.testing.assert_array_equal(outputs[1][0].S_world_canonical.R, rotation_z(0.3))
+    np.testing.assert_array_equal(tracker.tracks()[0].canonical, posed.canonical)
+
+
+@pytest.mark.parametrize("absence", [[(frame(0), [])] * 10, [(HIDE, [])] * 40])
+def test_a_track_is_told_of_again_when_re_found(absence):
+    """However far its confidence fell while it was away, but for a doubtful look."""
+    seen, doubtful = [(None, [thing(3, 0, score=score)]) for score in (0.75, 0.5)]
+    config = replace(TrackingConfig(), end_after_visible_misses=100)
+    _, outputs = run([seen, seen, seen, *absence, seen, seen], config)
+    assert outputs[-3][0].confidence < 0.4
+    assert [[e.state for e in out] for out in outputs[-2:]] == [[R], [T]]
+    _, outputs = run([seen, seen, seen, *absence, doubtful], config)
+    assert outputs[-1] == ()
+
+
+@pytest.mark.parametrize("stride", [1, 20])
+def test_a_track_ends_after_as_many_frames_at_any_stride(stride):
+    tracker = Tracker(SHORT)
+    for step, (view, estimates) in enumerate([(frame(0), [thing(3, 0)])] + [(HIDE, [])] * 4):
+        (entry,) = tracker.update(replace(view, index=step * stride), estimates)
+    assert entry.state is E and len(tracker.tracks()[0].history) == 5
 
 
 @pytest.mark.parametrize(
@@ -262,7 +284,7 @@ def test_confidence_grows_with_hits_and_decays_while_unseen():
     values = [out[0].confidence for out in outputs]
     seen = [0.9 * (1 - (1 - FIRST_LOOK) * 0.5**hits) for hits in (0, 1, 2)]
     unseen = [seen[-1] * factor for factor in (0.98, 0.98**2, 0.98**2 * 0.9, 0.98**2 * 0.81)]
-    np.testing.assert_allclose(values, [*seen, *unseen, (unseen[-1] + 0.9) / 2], rtol=1e-6)
+    np.testing.assert_allclose(values, [*seen, *unseen, FIRST_LOOK * 0.9], rtol=1e-6)
 
 
 def test_boxes_are_those_of_living_tracks_sure_or_not():

@@ -11,7 +11,6 @@ import pytest
 from composenet.records import Box
 from composenet.tracking.canonical import CanonicalModel
 from composenet.tracking.visibility import (
-    expected_visible_fraction,
     surface_in_world,
     visibility,
 )
@@ -40,8 +39,8 @@ BLANK = replace(frame(0), depth_m=np.zeros_like(frame(0).depth_m))
         pytest.param(BLANK, 0.0, 0.0, id="no measurement"),
     ],
 )
-def test_expected_visible_fraction(shown, low, high):
-    assert low <= expected_visible_fraction(*surface(CHAIR_AT_3), shown) <= high
+def test_share_expected_to_be_seen(shown, low, high):
+    assert low <= visibility(*surface(CHAIR_AT_3), shown).expected <= high
 
 
 def test_agreeing_and_seen_through_tell_presence_from_absence():
@@ -60,11 +59,11 @@ def test_own_back_does_not_count_as_hidden():
 
 def test_nothing_is_expected_beyond_the_depth_limit():
     points, spacing_m = surface(CHAIR_AT_3)
-    assert expected_visible_fraction(points, spacing_m, frame(0), max_depth_m=2.0) == 0
+    assert visibility(points, spacing_m, frame(0), max_depth_m=2.0).expected == 0
 
 
 def test_no_points_are_not_visible():
-    assert expected_visible_fraction(np.zeros((0, 3)), 0.05, frame(0)) == 0
+    assert visibility(np.zeros((0, 3)), 0.05, frame(0)).expected == 0
 
 
 def test_an_empty_model_falls_back_to_its_box():
@@ -73,7 +72,7 @@ def test_an_empty_model_falls_back_to_its_box():
     box = Box(points.mean(axis=0), np.ptp(points, axis=0))
     np.testing.assert_allclose(box.center, empty.box.center, atol=1e-9)
     np.testing.assert_allclose(box.extents, empty.box.extents, atol=1e-9)
-    assert expected_visible_fraction(points, spacing_m, frame(0)) > 0.9
+    assert visibility(points, spacing_m, frame(0)).expected > 0.9
 
 
 def test_surface_follows_the_pose():

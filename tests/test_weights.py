@@ -111,8 +111,10 @@ def test_tracker_options(tiny_weights: Path) -> None:
     tracker = load_tracker(tiny_weights, device="cpu", use_completion=False)
     assert not tracker.config.tracking.use_completion and tracker.config.volume == TINY.volume
     deeper = replace(TINY, network=replace(TINY.network, backbone_blocks=(1, 1, 2, 2, 3)))
-    for config in (Config(), deeper):
-        with pytest.raises(ConfigError, match="does not fit"):
+    wider = replace(TINY, network=replace(TINY.network, crop_margin=2.0))
+    blunter = replace(TINY, volume=replace(TINY.volume, truncation_m=0.4))
+    for config in (Config(), deeper, wider, blunter):
+        with pytest.raises(ConfigError, match="not fit"):
             load_tracker(tiny_weights, device="cpu", config=config)
     for wrong in ({"box_iou_gate": 7.0}, {"colour": True}):
         with pytest.raises(ConfigError, match=next(iter(wrong))) as caught:

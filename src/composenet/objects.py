@@ -18,7 +18,7 @@ from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.network.object_net import ObjectFields
-from composenet.records import Box, FloatArray, ObjectEstimate, Similarity
+from composenet.records import Box, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
 CANONICAL_CELLS = 64
@@ -59,7 +59,7 @@ def estimate_objects(
     """
     if len(proposals.center) == 0:
         return ()
-    found = _complete(network, fields, batch, proposals, config)
+    found = _complete(network, fields, batch, volume, proposals, config)
     filled = (found.shown >= 0.5).flatten(1).any(dim=1)
     order = torch.argsort(found.score, descending=True, stable=True)
     return tuple(_estimate(i, found, volume, config) for i in order.tolist() if filled[i])
@@ -69,6 +69,7 @@ def _complete(
     network: ComposeNet,
     fields: VoxelFields,
     batch: VolumeBatch,
+    volume: Volume,
     proposals: Proposals,
     config: Config,
 ) -> _Completed:
@@ -84,7 +85,10 @@ def _complete(
     points = crops.points(config.network.crop_cells // 2)
     correspondences = objects.nocs.flatten(2).transpose(1, 2)
     fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
-    canonical = _canonical(shown, crops, fit)
+    fit = _with_boxes(fit, proposals, volume)
+    # linear interpolation would wear away a surface that is one cell thick
+    mode = "bilinear" if config.tracking.use_completion else "nearest"
+    canonical = _canonical(shown, crops, fit, mode)
     return _Completed(proposals, crops, shown, score, fit, canonical)
 
 
@@ -100,14 +104,26 @@ def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
     return shown
 
 
-def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit) -> Tensor:
+def _with_boxes(fit: SimilarityFit, proposals: Proposals, volume: Volume) -> SimilarityFit:
+    """Where the pose is not observable: turned as the world, with the box's centre and diagonal."""
+    known = fit.observable
+    R_grid_world = torch.from_numpy(volume.T_world_grid[:3, :3].T).to(fit.R)
+    return SimilarityFit(
+        torch.where(known, fit.scale, proposals.extents.norm(dim=1)),
+        torch.where(known[:, None, None], fit.R, R_grid_world),
+        torch.where(known[:, None], fit.t, proposals.center),
+        known,
+    )
+
+
+def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit, mode: str) -> Tensor:
     """(M, 64, 64, 64) occupancy resampled in canonical space through the fitted similarity."""
     n = CANONICAL_CELLS
     steps = (torch.arange(n, device=shown.device) + 0.5) / n - 0.5
     cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(-1, 3)
     points = apply_affine(fit.scale[:, None, None] * fit.R, fit.t, cells)
     grid = (2 * crops.shares(points) - 1).flip(-1).view(-1, n, n, n, 3)
-    return F.grid_sample(shown[:, None], grid, padding_mode="zeros", align_corners=False)[:, 0]
+    return F.grid_sample(shown[:, None], grid, mode, "zeros", align_corners=False)[:, 0]
 
 
 def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> ObjectEstimate:
@@ -125,7 +141,11 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
         center += COMPLETED_SHARE * ((first + last) / 2 - center)
         extents += COMPLETED_SHARE * (last - first - extents)
     box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
-    similarity = _similarity(i, found.fit, box, R_world_grid, low)
+    similarity = Similarity(
+        scale_m=float(found.fit.scale[i]),
+        R=R_world_grid @ _numpy(found.fit.R[i]),
+        t=R_world_grid @ _numpy(found.fit.t[i]) + low,
+    )
     points_world = points_grid @ R_world_grid.T + low
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(
@@ -139,16 +159,6 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
         points_canonical=(local / similarity.scale_m).astype(np.float32),
         canonical=found.canonical[i].cpu().numpy(),
     )
-
-
-def _similarity(
-    i: int, fit: SimilarityFit, box: Box, R_world_grid: FloatArray, low: FloatArray
-) -> Similarity:
-    """The fit in the world; the box with identity rotation where there is none."""
-    if not bool(fit.observable[i]):
-        return Similarity(float(np.linalg.norm(box.extents)), np.eye(3), box.center)
-    R, t = R_world_grid @ _numpy(fit.R[i]), R_world_grid @ _numpy(fit.t[i]) + low
-    return Similarity(float(fit.scale[i]), R, t)
 
 
 def _numpy(values: Tensor) -> NDArray[np.float64]:

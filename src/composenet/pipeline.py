@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from composenet.config import Config, NetworkConfig, TrackingConfig, from_dict, to_dict
+from composenet.config import Config, TrackingConfig, from_dict, to_dict
 from composenet.detection import Proposals, propose, remembered, second_look
 from composenet.errors import ConfigError
 from composenet.network.batch import VolumeBatch, collate
@@ -151,17 +151,24 @@ def load_tracker(
     """
     chosen = select_device(device)
     network, own, _ = load_weights(Path(weights) if weights else default_weights(), chosen)
-    if config is not None and _sizes(config.network) != _sizes(own.network):
-        raise ConfigError("config.network does not fit the weights; leave it as they have it")
+    if config is not None and _learned_with(config) != _learned_with(own):
+        raise ConfigError(
+            "config.network or volume.truncation_m does not fit the weights; "
+            "leave them as the weights have them"
+        )
     return ObjectTracker(network, config or own, chosen).restart(**tracking)
 
 
-def _sizes(network: NetworkConfig) -> tuple[object, ...]:
+def _learned_with(config: Config) -> tuple[object, ...]:
+    """What the weights are made for."""
+    network = config.network
     return (
         network.backbone_channels,
         network.backbone_blocks,
         network.object_channels,
         network.crop_cells,
+        network.crop_margin,
+        config.volume.truncation_m,
     )
 
 
@@ -183,12 +190,12 @@ class _Clock:
 
     def __init__(self, device: torch.device) -> None:
         self.milliseconds: dict[str, float] = {}
-        self._cuda = device.type == "cuda"
+        self._device = device
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        if self._cuda:
-            torch.cuda.synchronize()
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
         self.milliseconds[stage] = 1e3 * (time.perf_counter() - start)

@@ -37,7 +37,8 @@ FIRST_LOOK = 0.9
 
 
 def stands_still(old: Box, new: Box, still_share: float) -> bool:
-    """Whether the centre moved by at most still_share of the new box's horizontal diagonal."""
+    """Whether the centre moved, horizontally, by at most still_share of the new box's horizontal
+    diagonal."""
     step = float(np.linalg.norm((new.center - old.center)[:2]))
     return step <= still_share * max(float(np.linalg.norm(new.extents[:2])), SMALLEST_DIAGONAL_M)
 
@@ -58,8 +59,8 @@ class Tracklet:
     it is seen with less than config.keep_confidence; then once more when it reaches the former.
 
     Confidence: at birth nine tenths of the score; when seen again, the mean of the last
-    confidence and the score; while unseen, it decays by a factor a frame, faster when lost than
-    when occluded; 0 at the end.
+    confidence and the score, after an absence no less than at a birth; while unseen, it decays by
+    a factor a frame, faster when lost than when occluded; 0 at the end.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class Tracklet:
         self._votes = np.zeros(len(CLASS_NAMES))
         self._confidence = FIRST_LOOK * estimate.score
         self.told = False
-        self._visible_misses = 0
+        self._misses = self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
         self._history: list[TrackedObject] = []
         self._told_of: list[TrackedObject] = []
@@ -101,6 +102,8 @@ class Tracklet:
         absent = self.state in (TrackState.OCCLUDED, TrackState.LOST)
         self.state = TrackState.RE_FOUND if absent else TrackState.TRACKED
         self._confidence = (self._confidence + estimate.score) / 2
+        if absent:
+            self._confidence = max(self._confidence, FIRST_LOOK * estimate.score)
         self._update_shape(estimate, self._config.running_mean_weight)
         self._see(frame_index, estimate)
 
@@ -108,11 +111,12 @@ class Tracklet:
         """The frame does not show it, though `view` of its last place could be had."""
         config = self._config
         lost = view.expected >= config.expected_visible_share
+        self._misses += 1
         self._visible_misses += lost
         self._confidence *= config.lost_decay if lost else config.occluded_decay
         self.state = TrackState.LOST if lost else TrackState.OCCLUDED
         if (
-            frame_index - self.last_seen >= config.end_after_frames
+            self._misses >= config.end_after_frames
             or self._visible_misses >= config.end_after_visible_misses
         ):
             self.state = TrackState.ENDED
@@ -131,7 +135,9 @@ class Tracklet:
         """Pose, extents and canonical model. An estimate whose pose is not observable says
         where the object is, not how it is turned or shaped."""
         if estimate.pose_observable:
-            self.model = self.model.updated(estimate.canonical, weight)
+            fresh = CanonicalModel(estimate.canonical.astype(np.float32))
+            known = self._pose_known
+            self.model = self.model.updated(estimate.canonical, weight) if known else fresh
         if estimate.pose_observable or not self._pose_known:
             self.S_world_canonical = estimate.S_world_canonical
             self.extents_m = estimate.extents_m
@@ -146,7 +152,7 @@ class Tracklet:
         self.S_world_canonical = Similarity(S.scale_m, S.R, S.t + shift)
         self.last_seen = frame_index
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
-        self._visible_misses = 0
+        self._misses = self._visible_misses = 0
         config = self._config
         self.told = self._confidence >= (
             config.keep_confidence if self.told else config.min_confidence

@@ -95,13 +95,6 @@ def visibility(
     return Visibility(float(agreeing.sum()) / total, float(seen_through.sum()) / total)
 
 
-def expected_visible_fraction(
-    points_world: FloatArray, spacing_m: float, frame: Frame, max_depth_m: float = 7.0
-) -> float:
-    """Share of the surface that `frame` would show if the object were there, 0..1."""
-    return visibility(points_world, spacing_m, frame, max_depth_m).expected
-
-
 def _front(
     pixels: NDArray[np.float64], z: NDArray[np.float64], cell_px: float
 ) -> NDArray[np.bool_]:
