@@ -236,7 +236,6 @@ def test_dataset_means_and_pools():
     assert scores.sequences == 3
     assert scores.mota_mean == pytest.approx(0.75)  # the third has nothing to find
     assert scores.clear.mota == pytest.approx(21 / 24)
-    assert scores.mota_class_mean[TABLE] == pytest.approx(0.75)
     assert scores.clear_per_class[TABLE].mota == pytest.approx(7 / 8)
     assert scores.mota_interval == pytest.approx((0.5, 1.0))
     assert scores.precisions is None

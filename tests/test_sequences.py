@@ -14,7 +14,7 @@ from composenet import config
 from composenet.errors import ConfigError, SequenceError
 from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
-from composenet.records import Camera
+from composenet.records import Camera, Frame
 from composenet.sequences import SequenceOptions, open_sequence
 from composenet.sequences.tum import nearest
 
@@ -459,3 +459,57 @@ def test_real_recordings_open(name, intrinsics, count, posed):
     assert (sequence.camera.width, sequence.camera.height) == (320, 240)
     frame = next(iter(sequence))
     assert frame.color.shape == (240, 320, 3) and 0 < np.median(frame.depth_m) < 5
+
+
+def depth_in_a_room(T: np.ndarray) -> np.ndarray:
+    """Of the walls, floor and ceiling around a camera, in millimetres."""
+    rays = pixel_rays(Camera(K, WIDTH, HEIGHT)) @ T[:3, :3].T
+    walls = np.where(rays > 0, [4.0, 3.0, 2.5], [-2.0, -3.0, 0.0])
+    return np.round(1000 * ((walls - T[:3, 3]) / rays).min(axis=-1)).astype(np.uint16)
+
+
+def test_poses_that_do_not_explain_the_depth_are_doubted(tmp_path):
+    """World to camera, or with y up and z backward, instead of camera to world, z forward."""
+    flat = AHEAD @ Rotation.from_euler("x", -15, degrees=True).as_matrix()
+    turns = [Rotation.from_euler("z", 5 * i, degrees=True).as_matrix() for i in range(12)]
+    poses = [make_T(turn @ flat, [0.05 * i, 0.05 * i, 1.2]) for i, turn in enumerate(turns)]
+
+    def doubts(name, told):
+        root = write_plain(tmp_path / name, 12)
+        for i, T in enumerate(poses):
+            save_depth(root / f"depth/frame-{i}.png", depth_in_a_room(T))
+            save_text(root / f"pose/frame-{i}.txt", told(T))
+        return [line for line in open_sequence(root).warnings if "camera to world" in line]
+
+    assert doubts("right", lambda T: T) == []
+    for wrong in (inverse_T, lambda T: T @ np.diag([1.0, -1, -1, 1])):
+        (line,) = doubts("wrong", wrong)
+        assert "badly" in line and "cm" in line
+
+
+def test_other_names_of_the_folders(tmp_path):
+    root = write_plain(tmp_path / "r")
+    (root / "color").rename(root / "rgb")
+    (root / "pose").rename(root / "poses")
+    sequence = open_sequence(root)
+    assert sequence.has_poses and all(frame.color is not None for frame in sequence)
+    shutil.rmtree(root / "poses")
+    notes = open_sequence(root).warnings
+    assert any("pose/NAME.txt" in line for line in notes)
+    assert any("gravity" in line for line in notes)
+
+
+def test_max_frames_counts_the_usable(tmp_path):
+    root = write_plain(tmp_path / "r", 6)
+    for i in (0, 1):
+        save_text(root / f"pose/frame-{i}.txt", np.full((4, 4), -np.inf))
+    assert [frame.index for frame in open_sequence(root, max_frames=3)] == [2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    "depth",
+    [np.ones((HEIGHT, WIDTH), np.uint16), np.ones((WIDTH, HEIGHT), np.float32), np.ones(3)],
+)
+def test_a_frame_refuses_depth_that_is_not_metres_of_its_camera(depth):
+    with pytest.raises(SequenceError, match=r"frame 7: .*float32 of shape \(18, 24\)"):
+        Frame(7, depth, Camera(K, WIDTH, HEIGHT), np.eye(4))

@@ -56,7 +56,6 @@ def thing(
         pose_observable=observable,
         extents_m=extents,
         points_world=np.zeros((0, 3), np.float32),
-        points_canonical=np.zeros((0, 3), np.float32),
         canonical=block(size) if canonical is None else canonical,
     )
 

@@ -15,9 +15,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from composenet.pipeline import ObjectTracker, load_tracker
+    from composenet.records import Camera, Frame
     from composenet.sequences import open_sequence
 
-__all__ = ["ObjectTracker", "load_tracker", "open_sequence"]
+__all__ = ["Camera", "Frame", "ObjectTracker", "load_tracker", "open_sequence"]
 
 
 def __getattr__(name: str) -> Any:
@@ -26,6 +27,10 @@ def __getattr__(name: str) -> Any:
         from composenet.sequences import open_sequence
 
         return open_sequence
+    if name in ("Camera", "Frame"):
+        from composenet import records
+
+        return getattr(records, name)
     if name in ("ObjectTracker", "load_tracker"):
         from composenet import pipeline
 

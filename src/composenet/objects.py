@@ -156,7 +156,6 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
         pose_observable=bool(found.fit.observable[i]),
         extents_m=2 * np.abs(local).max(axis=0) + cell_m.mean(),
         points_world=points_world.astype(np.float32),
-        points_canonical=(local / similarity.scale_m).astype(np.float32),
         canonical=found.canonical[i].cpu().numpy(),
     )
 

@@ -11,6 +11,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from composenet.errors import SequenceError
+
 FloatArray = NDArray[np.floating]
 
 CLASS_NAMES: tuple[str, ...] = (
@@ -62,7 +64,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D frame.
+    """One RGB-D frame. Raises SequenceError where its depth is not in metres or not the camera's.
 
     depth_m: (H, W) float32, z-depth, 0 = invalid. color: (H, W, 3) uint8 or None
     (resized to the depth image where the source's differs). T_world_camera: (4, 4) float64,
@@ -78,6 +80,14 @@ class Frame:
     timestamp_s: float | None = None
     name: str = ""
     pose_known: bool = True
+
+    def __post_init__(self) -> None:
+        depth, expected = np.asarray(self.depth_m), (self.camera.height, self.camera.width)
+        if depth.shape != expected or not np.issubdtype(depth.dtype, np.floating):
+            raise SequenceError(
+                f"frame {self.index}: depth_m is {depth.dtype} of shape {depth.shape}; "
+                f"expected metres as float32 of shape {expected}, the camera's (height, width)"
+            )
 
 
 @dataclass(frozen=True)
@@ -98,18 +108,6 @@ class Similarity:
 
 
 @dataclass(frozen=True)
-class Detections:
-    """Proposals of one frame, M of them, strongest first.
-
-    boxes: world frame. class_probabilities: (M, 10) float32. scores: (M,) float32 in 0..1.
-    """
-
-    boxes: tuple[Box, ...]
-    class_probabilities: FloatArray
-    scores: FloatArray
-
-
-@dataclass(frozen=True)
 class ObjectEstimate:
     """A posed detection: one object in one frame, completed.
 
@@ -117,7 +115,7 @@ class ObjectEstimate:
     class. box: world, of the completed object. S_world_canonical: fitted
     by Procrustes; pose_observable is False where the correspondences do not fix it (then the
     similarity is the box with identity rotation). extents_m: (3,) full extents in object axes.
-    points_world, points_canonical: (P, 3) float32, occupied cells and their correspondences.
+    points_world: (P, 3) float32, occupied cells.
     canonical: (64, 64, 64) float32 in 0..1, the canonical reconstruction.
     """
 
@@ -128,7 +126,6 @@ class ObjectEstimate:
     pose_observable: bool
     extents_m: FloatArray
     points_world: FloatArray
-    points_canonical: FloatArray
     canonical: FloatArray
 
     @property
@@ -160,7 +157,8 @@ class TrackedObject:
 class Track:
     """One identity over time.
 
-    history: one entry a frame from birth until the end. canonical: (64, 64, 64) float32
+    history: one entry for every frame in which it was told of; all from its birth until its end
+    where the whole recording was looked back on (tracking.offline). canonical: (64, 64, 64) float32
     in 0..1, the running mean of its reconstructions. class_id: by weighted vote.
     """
 

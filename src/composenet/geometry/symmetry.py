@@ -10,8 +10,6 @@ from composenet.records import Symmetry
 ORDER = {Symmetry.NONE: 1, Symmetry.TWO: 2, Symmetry.FOUR: 4, Symmetry.INF: 36}
 """Turns that leave the object alike; infinite symmetry as 36 steps of 10 degrees."""
 
-MAX_ORDER = 36
-
 
 def turns(symmetry: Symmetry) -> NDArray[np.float64]:
     """(k, 3, 3) rotations about +Z that map the object onto itself, identity first."""

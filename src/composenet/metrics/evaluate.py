@@ -71,15 +71,13 @@ class DatasetScores:
     """Several sequences. Shares are 0..1 and NaN where undefined.
 
     mota_mean: over the sequences that have counted objects, with its 95 % interval (bootstrap
-    over sequences). mota_class_mean: the same mean for each class. clear, clear_per_class,
-    identity, hota: pooled over all sequences. precisions, completion, pose: None where only
-    tracks were scored.
+    over sequences). clear, clear_per_class, identity, hota: pooled over all sequences. precisions,
+    completion, pose: None where only tracks were scored.
     """
 
     sequences: int
     mota_mean: float
     mota_interval: tuple[float, float]
-    mota_class_mean: tuple[float, ...]
     clear: ClearScores
     clear_per_class: tuple[ClearScores, ...]
     identity: IdentityScores
@@ -159,14 +157,12 @@ def aggregate(scores: Sequence[SequenceScores]) -> DatasetScores:
         raise DataError("no sequences to score: is the data folder empty?")
     motas = np.array([score.clear.mota for score in scores])
     first, rest = scores[0], scores[1:]
-    class_motas = np.array([[c.mota for c in score.clear_per_class] for score in scores])
     objects = [score.objects for score in scores if score.objects is not None]
     seconds = np.concatenate([score.seconds_per_frame for score in scores])
     return DatasetScores(
         sequences=len(scores),
         mota_mean=_mean(motas),
         mota_interval=bootstrap_interval(motas),
-        mota_class_mean=tuple(_mean(column) for column in class_motas.T),
         clear=sum((score.clear for score in rest), first.clear),
         clear_per_class=tuple(
             sum(parts, ClearScores())

@@ -1,4 +1,4 @@
-"""Scores of single frames: detection, completion and pose of posed detections."""
+"""Scores of each frame's posed detections: detection, completion and pose."""
 
 from __future__ import annotations
 

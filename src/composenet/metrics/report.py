@@ -117,7 +117,11 @@ def sections(variants: Mapping[str, DatasetScores]) -> list[Section]:
             items,
         ),
         ("tracking events, pooled", _events, items),
-        ("detection, completion and pose of single frames", _objects, single),
+        (
+            "detection, completion and pose in each frame, with what earlier ones saw",
+            _objects,
+            single,
+        ),
     )
     result = []
     for title, cells, shown in tables:

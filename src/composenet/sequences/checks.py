@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from composenet.errors import SequenceError
+from composenet.geometry.transform import apply_T
 from composenet.records import Camera, FloatArray
 from composenet.sequences.source import Source, SourceFrame
 
@@ -16,6 +17,8 @@ _USUAL_MEDIAN_M = (0.4, 8.0)
 _COMMON_SCALES = (1000.0, 5000.0, 4000.0, 10000.0, 256.0, 100.0, 1.0)
 _MAX_STEP_M = 5.0
 MAX_SPAN_M = 1000.0
+_USUAL_MISFIT_M = 0.03
+_SHARED = 0.3  # of the points of one frame, those that another must see, too
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -97,6 +100,54 @@ def check_steps(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
             f"{path}: the camera moves {_metres(step_m)} a frame: {_IN_MILLIMETRES}"
         )
     return [f"jumps of the camera over {_MAX_STEP_M:g} m between frames: {jumps}"] * (jumps > 0)
+
+
+def pose_notes(
+    pairs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], K: FloatArray
+) -> list[str]:
+    """A note when the depth of frames fits later ones little better by the poses than without any
+    motion.
+
+    pairs: depth of a frame and of a later one, (H, W) metres, and T_later_earlier, (4, 4).
+    """
+    errors = [
+        (moved, still)
+        for earlier, later, T in pairs
+        if (moved := _misfit_m(earlier, later, T, K)) is not None
+        and (still := _misfit_m(earlier, later, np.eye(4), K)) is not None
+    ]
+    if not errors:
+        return []
+    moved_m, still_m = np.median(errors, axis=0)
+    if moved_m <= max(_USUAL_MISFIT_M, still_m / 2):
+        return []
+    return [
+        f"by the camera poses depth images fit each other badly (off by {100 * moved_m:.0f} cm; if "
+        f"the camera stood still, by {100 * still_m:.0f} cm): are the poses camera to world, in "
+        "metres, with x right, y down, z forward?"
+    ]
+
+
+def _misfit_m(
+    earlier: FloatArray, later: FloatArray, T_later_earlier: FloatArray, K: FloatArray
+) -> float | None:
+    """Median difference between the later depth and the earlier one's points seen from there;
+    None where they see too little in common."""
+    rows, columns = np.mgrid[: earlier.shape[0] : 4, : earlier.shape[1] : 4].reshape(2, -1)
+    z = earlier[rows, columns]
+    rows, columns, z = rows[z > 0], columns[z > 0], z[z > 0]
+    points = np.stack(
+        [(columns - K[0, 2]) / K[0, 0] * z, (rows - K[1, 2]) / K[1, 1] * z, z], axis=1
+    )
+    points = apply_T(T_later_earlier, points)
+    points = points[points[:, 2] > 0.1]
+    pixels = np.round(points[:, :2] / points[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]).astype(int)
+    inside = ((pixels >= 0) & (pixels < later.shape[::-1])).all(axis=1)
+    measured = later[pixels[inside, 1], pixels[inside, 0]]
+    differences = np.abs(measured - points[inside, 2])[measured > 0]
+    if len(differences) < _SHARED * len(z) or not len(differences):
+        return None
+    return float(np.median(differences))
 
 
 def _centers(frames: Sequence[SourceFrame]) -> FloatArray:

@@ -2,8 +2,8 @@
 
 ```
 depth/NAME.png           uint16, millimetres, 0 = no measurement
-color/NAME.{jpg,png}     optional
-pose/NAME.txt            optional: 4x4, camera to world, metres
+color/NAME.{jpg,png}     optional; the folder may be called rgb/
+pose/NAME.txt            optional: 4x4, camera to world, metres; or poses/
 camera-intrinsics.txt    optional: 3x3, of the depth images
 gravity-direction.txt    optional: 3 numbers, pointing down in the world
 ```
@@ -11,6 +11,7 @@ gravity-direction.txt    optional: 3 numbers, pointing down in the world
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +30,9 @@ from composenet.sequences.source import (
 )
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
+POSES_FILE = "pose/NAME.txt (4x4, camera to world, metres)"
+_COLOR_FOLDERS = ("color", "rgb")
+_POSE_FOLDERS = ("pose", "poses")
 
 
 def matches(path: Path) -> bool:
@@ -39,13 +43,14 @@ def matches(path: Path) -> bool:
 def read_source(path: Path) -> Source:
     """The recording of a plain folder. Raises SequenceError."""
     frames, warnings = matched_frames(path)
-    frames, has_poses = frames_with_poses(path / "pose", frames)
+    frames, has_poses = frames_with_poses(path, frames)
     return Source(
         path=path,
         frames=frames,
         has_poses=has_poses,
         K=read_intrinsics(path / INTRINSICS_FILE, 3),
         intrinsics_file=INTRINSICS_FILE,
+        poses_file=POSES_FILE,
         depth_scale=1000.0,
         gravity=read_gravity(path),
         warnings=warnings,
@@ -53,18 +58,19 @@ def read_source(path: Path) -> Source:
 
 
 def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]]:
-    """Frames of `depth/` and `color/` in the natural order of their names, and warnings.
+    """Frames of the depth and colour folders in the natural order of their names, and warnings.
 
     A colour image without depth is a frame with a problem, unless no name matches at all:
     then colour is left out. Raises SequenceError when there is no depth image.
     """
     depth = images_by_stem(path / "depth", DEPTH_SUFFIXES)
-    color = images_by_stem(path / "color", COLOR_SUFFIXES)
+    color_folder = _first(path, _COLOR_FOLDERS)
+    color = images_by_stem(color_folder, COLOR_SUFFIXES)
     if not depth:
         raise SequenceError(f"{path / 'depth'}: no depth image (*.png) in it")
     warnings: tuple[str, ...] = ()
     if color and not depth.keys() & color.keys():
-        warnings = (f"{path / 'color'}: no file has the name of a depth image; colour left out",)
+        warnings = (f"{color_folder}: no file has the name of a depth image; colour left out",)
         color = {}
     names = sorted(depth.keys() | color.keys(), key=natural_key)
     frames = tuple(
@@ -80,10 +86,17 @@ def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]
     return frames, warnings
 
 
+def _first(path: Path, names: Sequence[str]) -> Path:
+    """The first of these folders that is there, else where it should be."""
+    found = (path / name for name in names if (path / name).is_dir())
+    return next(found, path / names[0])
+
+
 def frames_with_poses(
-    folder: Path, frames: tuple[SourceFrame, ...]
+    path: Path, frames: tuple[SourceFrame, ...]
 ) -> tuple[tuple[SourceFrame, ...], bool]:
     """The frames with their poses, and whether the recording has any."""
+    folder = _first(path, _POSE_FOLDERS)
     if not folder.is_dir() or not any(folder.glob("*.txt")):
         return frames, False
     return tuple(_posed(folder / f"{frame.name}.txt", frame) for frame in frames), True

@@ -51,6 +51,8 @@ def _opened(path: Path) -> Image.Image:
         image = Image.open(path)
     except FileNotFoundError:
         raise SequenceError("image is missing") from None
+    except PermissionError:
+        raise SequenceError("image may not be read (permission denied)") from None
     except Exception:  # decoders raise many kinds on corrupt bytes
         raise SequenceError("image is corrupt or of an unknown kind") from None
     if image.size[0] * image.size[1] > _MAX_PIXELS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
 from composenet.geometry.camera import subsample_camera, subsample_offset
-from composenet.geometry.transform import apply_T
+from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, Frame
 from composenet.sequences import checks, folder, scannet, tum
 from composenet.sequences.images import image_size, read_color, read_depth
@@ -28,6 +29,7 @@ from composenet.sequences.source import Source, SourceFrame, make_K
 
 _FORMATS = (tum, scannet, folder)
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
+_SOON = 3  # frames, of which the second must fit the first by the poses
 
 
 class RecordedSequence:
@@ -49,8 +51,8 @@ class RecordedSequence:
         self._skipped: dict[int, tuple[str, str]] = {}
         self._colorless: dict[int, tuple[str, str]] = {}
         self._depth_scale = options.depth_scale or source.depth_scale
-        chosen = source.frames[::stride][:max_frames]
-        self._frames = [frame for frame in chosen if self._usable(frame)]
+        usable = (frame for frame in source.frames[::stride] if self._usable(frame))
+        self._frames = list(islice(usable, max_frames))
         full = self._common_camera()
         self._factor = math.ceil(full.width / options.max_width)
         self.camera = subsample_camera(full, self._factor)
@@ -60,6 +62,7 @@ class RecordedSequence:
         self._notes += checks.check_steps(source.path, self._frames)
         samples = self._read_samples()
         self._notes += checks.check_depth(source.path, samples, self._depth_scale)
+        self._notes += checks.pose_notes(self._pairs(samples), self.camera.K)
         self._level(samples)
 
     def __len__(self) -> int:
@@ -158,6 +161,25 @@ class RecordedSequence:
             raise self._nothing_left()
         return samples
 
+    def _pairs(
+        self, samples: dict[int, NDArray[np.float32]]
+    ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]]:
+        """Samples and the depth soon after each, with T_later_earlier; none without poses or where
+        they are known to be right."""
+        if not self.has_poses or self._source.levelled:
+            return
+        for place, depth_m in samples.items():
+            if place + _SOON >= len(self._frames):
+                continue
+            earlier, later = self._frames[place], self._frames[place + _SOON]
+            assert earlier.T_source_camera is not None and later.T_source_camera is not None
+            try:
+                later_m = self._read_depth_m(later, far_m=np.inf)
+            except SequenceError as error:
+                self._skip(later, str(error))
+                continue
+            yield depth_m, later_m, inverse_T(later.T_source_camera) @ earlier.T_source_camera
+
     def _level(self, samples: dict[int, NDArray[np.float32]]) -> None:
         surfaces = {place: surface_of(depth, self.camera) for place, depth in samples.items()}
         self.T_level_source = np.eye(4)
@@ -165,8 +187,11 @@ class RecordedSequence:
         if not self.has_poses:
             self._notes.append(
                 "no camera poses: every frame is tracked in its camera's own levelled frame, "
-                "so objects at rest move when the camera does"
+                "so objects at rest move when the camera does; poses belong in "
+                + self._source.poses_file
             )
+            if self._source.gravity is not None:
+                self._notes.append("the direction of gravity is of no use without camera poses")
             self._camera_leveler = CameraLeveler.from_samples(list(surfaces.values()))
         elif not self._source.levelled:
             poses = {p: self._frames[p].T_source_camera for p in surfaces}
@@ -221,10 +246,10 @@ def open_sequence(
 ) -> RecordedSequence:
     """A recording as levelled frames, whatever its format (told from what the folder holds).
 
-    Every `stride`-th frame is read, at most `max_frames` of them. The levelled world is the
-    recording's own, turned by the smallest rotation that makes it z-up and shifted along z so
-    that the floor is z = 0 (rules in `leveling`); it is taken from up to 16 frames spread over
-    the recording.
+    Every `stride`-th frame is read, at most `max_frames` of those that are usable. The levelled
+    world is the recording's own, turned by the smallest rotation that makes it z-up and shifted
+    along z so that the floor is z = 0 (rules in `leveling`); it is taken from up to 16 frames
+    spread over the recording.
 
     Raises SequenceError with one line that says what is missing and what to do when the
     recording cannot be used at all; single bad frames are skipped and reported in

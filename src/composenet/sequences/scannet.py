@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from composenet.sequences.folder import frames_with_poses, matched_frames
+from composenet.sequences.folder import POSES_FILE, frames_with_poses, matched_frames
 from composenet.sequences.source import Source, read_gravity, read_intrinsics
 
 INTRINSICS_FILE = "intrinsic/intrinsic_depth.txt"
@@ -28,13 +28,14 @@ def matches(path: Path) -> bool:
 def read_source(path: Path) -> Source:
     """The recording of an exported ScanNet scene. Raises SequenceError."""
     frames, warnings = matched_frames(path)
-    frames, has_poses = frames_with_poses(path / "pose", frames)
+    frames, has_poses = frames_with_poses(path, frames)
     return Source(
         path=path,
         frames=frames,
         has_poses=has_poses,
         K=read_intrinsics(path / INTRINSICS_FILE, 4),
         intrinsics_file=INTRINSICS_FILE,
+        poses_file=POSES_FILE,
         depth_scale=1000.0,
         gravity=read_gravity(path),
         levelled=has_poses and (path / "annotations.json").is_file(),

@@ -39,9 +39,9 @@ class Source:
     """A recording on disk, before any image is read.
 
     K: (3, 3) intrinsics of the depth images as they lie there, None where the recording does
-    not say. intrinsics_file: where they belong. depth_scale: depth units a metre. gravity:
-    (3,) direction of gravity in the recording's world, if it says. levelled: its world is
-    z-up with the floor at z = 0 by construction.
+    not say. intrinsics_file, poses_file: where they and the poses belong. depth_scale: depth units
+    a metre. gravity: (3,) direction of gravity in the recording's world, if it says. levelled: its
+    world is z-up with the floor at z = 0 by construction.
     """
 
     path: Path
@@ -49,6 +49,7 @@ class Source:
     has_poses: bool
     K: FloatArray | None
     intrinsics_file: str
+    poses_file: str
     depth_scale: float
     gravity: FloatArray | None = None
     levelled: bool = False

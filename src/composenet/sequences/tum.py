@@ -64,6 +64,7 @@ def read_source(path: Path) -> Source:
         has_poses=len(poses) > 0,
         K=read_intrinsics(path / INTRINSICS_FILE, 3),
         intrinsics_file=INTRINSICS_FILE,
+        poses_file="groundtruth.txt",
         depth_scale=5000.0,
         gravity=read_gravity(path),
     )

@@ -84,7 +84,8 @@ class Tracker:
     def _advance(self, index: int) -> None:
         if self._last_index is not None and index <= self._last_index:
             raise SequenceError(
-                f"frame {index} came after frame {self._last_index}: give frames in order, once"
+                f"frame {index} came after frame {self._last_index}: give frames in order, once, "
+                "and another recording to another tracker (`tracker.restart()`)"
             )
         self._last_index = index
 
