@@ -104,7 +104,7 @@ def test_truth_and_estimate_of_one_solid():
     canonical = (inside & ((x < 0) | (z < 0))).astype(np.float32)
     estimate = ObjectEstimate(
         np.eye(10)[4], 0.9, Box(t, extents), Similarity(diagonal, R, t), True, extents,
-        np.zeros((0, 3)), np.zeros((0, 3)), canonical,
+        np.zeros((0, 3)), canonical,
     )  # fmt: skip
     error = completion_error(voxelize_truth(truth, make_T(R, t)), voxelize_estimate(estimate))
     assert error.volume_iou > 0.9

@@ -111,7 +111,6 @@ def answer_estimates(tracks) -> list[list[ObjectEstimate]]:
                 True,
                 o.extents_m,
                 np.zeros((0, 3)),
-                np.zeros((0, 3)),
                 CANONICAL[tuple(o.extents_m.tolist())],
             )
             for o in row
