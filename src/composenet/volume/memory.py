@@ -84,7 +84,7 @@ class FreeSpace:
     def turned(self, R: NDArray[np.float64]) -> FreeSpace:
         """The same space with other axes: p -> R p. R: a quarter turn about z."""
         order = np.abs(R).argmax(axis=1)
-        back = tuple(np.flatnonzero(R[np.arange(3), order] < 0))
+        back = tuple(np.flatnonzero(R[np.arange(3), order] < 0).tolist())
         ends = np.stack([self.low, self.low + FREE_CELL_M * np.array(self.cells.shape)]) @ R.T
         return FreeSpace(np.flip(self.cells.transpose(order), back), ends.min(axis=0))
 
@@ -138,7 +138,7 @@ class Memory:
         """Space around the camera that frame `index` or one before it saw to be empty, and where
         none has seen a surface since; world frame."""
         self._move_window(T_world_camera[:3, 3])
-        low = self._corner * FREE_CELL_M
+        low = FREE_CELL_M * self._corner.astype(np.float64)
         _empty(self._emptied, low, depth_m, K, inverse_T(T_world_camera), index)
         known = self._emptied != _NEVER
         return FreeSpace(known & (np.abs(index - self._emptied) <= self.frames), low)
