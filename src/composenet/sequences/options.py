@@ -14,10 +14,7 @@ Intrinsics = tuple[float, float, float, float]
 
 
 def _parse(words: list[str]) -> Intrinsics:
-    try:
-        fx, fy, cx, cy = (float(word) for word in words[0].split(","))
-    except ValueError:
-        raise ValueError(f"{words[0]!r}: expected four numbers fx,fy,cx,cy") from None
+    fx, fy, cx, cy = (float(word) for word in words[0].split(","))
     return fx, fy, cx, cy
 
 
