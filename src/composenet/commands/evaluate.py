@@ -19,6 +19,7 @@ from composenet.commands.scoring import (
     sequence_folders,
     tall_table,
 )
+from composenet.commands.terminal import say
 from composenet.errors import DataError
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.predictions import read_predictions
@@ -69,7 +70,7 @@ def run_eval(
         for section in sections(scores):
             console.print(tall_table(section))
         paths = f"{out / 'results.json'} and {out / 'results.md'}"
-        console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
+        say(console, f"wrote {paths}")
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
     return 1 if lines else 0

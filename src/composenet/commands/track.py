@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from composenet.commands.progress import progress_bar
+from composenet.commands.terminal import say, warn
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
@@ -81,8 +82,8 @@ def run_track(
     name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
     for line in run.warnings:
-        console.print(f"[yellow]warning[/] {line}", highlight=False, soft_wrap=True)
-    console.print(summary(run, out), highlight=False, soft_wrap=True)
+        warn(console, line)
+    say(console, summary(run, out))
     return 0 if run.complete else INTERRUPTED_EXIT_CODE
 
 
