@@ -77,6 +77,7 @@ BAD_ARGUMENTS = [
         "--device",
     ),
     (["track", "{data}/val_00000", "--out", "{tmp}/bad/out", "--weights", "{good}"], "bad/out"),
+    (["track", "{data}/val_00000", "--out", "{data}/val_00000"], "recording itself"),
     (["synth", "--out", "{tmp}/bad/out"], "Not a directory"),
     (["synth"], "--out"),
     (["synth", "--stats", "--count", "-1"], "--count"),

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from composenet.commands.progress import progress_bar
 from composenet.commands.terminal import say, warn
+from composenet.errors import DataError
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
@@ -75,6 +76,8 @@ def run_track(
     """The command. Returns the exit code."""
     console = Console()
     sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
+    if out.exists() and out.samefile(recording):
+        raise DataError(f"{out}: this is the recording itself; give another --out folder")
     from composenet.network.weights import default_weights, weights_id
     from composenet.pipeline import load_tracker
 
