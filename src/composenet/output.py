@@ -72,6 +72,7 @@ class OutputWriter:
         self._texts: list[FrameText] = []
         self._timings: list[dict[str, float]] = []
         self._class_ids: dict[int, int] = {}
+        self._recording_warnings: tuple[str, ...] = ()
         self._warnings: list[str] = []
         self._keepsakes = _Keepsakes()
         self._config, self._wants_replay = config, replay
@@ -96,6 +97,10 @@ class OutputWriter:
         """Add one line to the warnings of the report and of tracks.json."""
         if text not in self._warnings:
             self._warnings.append(text)
+
+    def warn_of_recording(self, lines: Sequence[str]) -> None:
+        """Warnings about the recording, in place of those given before: their counts grow."""
+        self._recording_warnings = tuple(lines)
 
     def add_frame(
         self, frame: Frame, tracked: Sequence[TrackedObject], timings_ms: Mapping[str, float]
@@ -143,7 +148,7 @@ class OutputWriter:
         run = dataclasses.replace(self._snapshot(), canonical=canonical, complete=complete)
         placed = self._save_meshes(run, meshes)
         files = {track_id: f"meshes/track_{track_id}.ply" for track_id in placed}
-        run = dataclasses.replace(run, mesh_files=files, warnings=tuple(self._warnings))
+        run = dataclasses.replace(run, mesh_files=files, warnings=self._all_warnings())
         self._save_canonical(canonical)
         self._save(run)
         self._replay.finish(meshes)
@@ -171,8 +176,11 @@ class OutputWriter:
             self._run,
             frames=tuple(self._frames),
             class_ids=dict(self._class_ids),
-            warnings=tuple(self._warnings),
+            warnings=self._all_warnings(),
         )
+
+    def _all_warnings(self) -> tuple[str, ...]:
+        return (*self._recording_warnings, *self._warnings)
 
     def _save(self, run: PredictedSequence) -> None:
         write_atomic(self.out_dir / TRACKS_TXT, tracks_text(self._texts).encode())

@@ -31,7 +31,8 @@ def track_recording(
     save_every: int = 50,
     weights_id: str = "",
 ) -> PredictedSequence:
-    """Track every frame and write the result folder; ctrl-C keeps what is done."""
+    """Track every frame and write the result folder; ctrl-C keeps what is done. Warnings are said
+    as soon as they are known."""
     from composenet.metrics.report import source_commit
     from composenet.output import OutputWriter
 
@@ -44,7 +45,11 @@ def track_recording(
         weights_id=weights_id,
         save_every=save_every,
     )
+    told = sequence.warnings
+    for line in told:
+        warn(console, line)
     with writer, _interruptible() as stop, progress_bar(console) as progress:
+        writer.warn_of_recording(told)
         task = progress.add_task(sequence.name, total=len(sequence), note="")
         seconds = 0.0
         for done, frame in enumerate(sequence, start=1):
@@ -55,10 +60,13 @@ def track_recording(
             progress.update(task, advance=1, note=note)
             if stop:
                 break
-        for line in sequence.warnings:
-            writer.warn(line)
+        writer.warn_of_recording(sequence.warnings)
         progress.update(task, note="writing meshes and report")
-        return writer.finish(tracker.tracks(), complete=not stop)
+        run = writer.finish(tracker.tracks(), complete=not stop)
+    for line in run.warnings:
+        if line not in told:
+            warn(console, line)
+    return run
 
 
 def run_track(
@@ -84,8 +92,6 @@ def run_track(
     tracker = load_tracker(weights, device=device, **variant)
     name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
-    for line in run.warnings:
-        warn(console, line)
     say(console, summary(run, out))
     return 0 if run.complete else INTERRUPTED_EXIT_CODE
 
