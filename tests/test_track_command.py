@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import io
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from rich.console import Console
 
+from composenet import cli
 from composenet.commands.track import track_recording
-from composenet.pipeline import FrameResult, load_tracker
+from composenet.errors import DeviceError
+from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
 from composenet.predictions import read_predictions
 from composenet.records import Frame
 from composenet.sequences import open_sequence
@@ -64,3 +68,64 @@ def test_doubts_about_the_recording_are_said_before_it_is_tracked(
         "warning 2 frames skipped",
     ]
     assert set(sequence.warnings) <= set(run.warnings)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"), "out of memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: 9 bytes"), "out of memory"),
+        (MemoryError(), "out of memory"),
+        (RuntimeError("CUDA error: device-side assert\nCompile with"), "assert; try --device cpu"),
+    ],
+)
+def test_a_device_that_gives_up_leaves_what_is_done(
+    capsys, monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path,
+    error: Exception, reason: str,
+) -> None:  # fmt: skip
+    track, seen = ObjectTracker.__call__, []
+
+    def call(self: ObjectTracker, frame: Frame) -> FrameResult:
+        seen.append(frame)
+        if len(seen) == 3:
+            raise error
+        return track(self, frame)
+
+    monkeypatch.setattr(ObjectTracker, "__call__", call)
+    command = ["track", recordings / "val_00000", "--out", tmp_path, "--weights", tiny_weights]
+    monkeypatch.setattr(sys, "argv", ["composenet", *map(str, command)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(f"composenet: frame {seen[2].name}: ") and said.err.count("\n") == 1
+    assert reason in said.err and "--device cpu" in said.err
+    assert "in 2 frames (interrupted" in said.out
+    result = read_predictions(tmp_path)
+    assert not result.complete and len(result.frames) == 2 and result.mesh_files
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_a_device_that_gives_up_at_once_changes_nothing(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    def fail(_: int) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
+    track_recording(sequence, Watched(tiny_weights, lambda _: None), tmp_path, console)  # type: ignore[arg-type]
+    before = (tmp_path / "tracks.json").read_text()
+    with pytest.raises(DeviceError, match="out of memory"):
+        track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]
+    assert (tmp_path / "tracks.json").read_text() == before
+
+
+def test_other_errors_stay_what_they_are(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    def fail(_: int) -> None:
+        raise RuntimeError("shapes do not match")
+
+    sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
+    with pytest.raises(RuntimeError, match="shapes"):
+        track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]

@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.progress import Progress
 
+from composenet.commands.device_errors import device_errors
 from composenet.commands.progress import progress_bar
 from composenet.commands.terminal import say, warn
-from composenet.errors import DataError
+from composenet.errors import DataError, DeviceError
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
 if TYPE_CHECKING:
+    from composenet.output import OutputWriter
     from composenet.pipeline import ObjectTracker
 
 INTERRUPTED_EXIT_CODE = 130
@@ -32,7 +35,8 @@ def track_recording(
     weights_id: str = "",
 ) -> PredictedSequence:
     """Track every frame and write the result folder; ctrl-C keeps what is done. Warnings are said
-    as soon as they are known."""
+    as soon as they are known. Raises DeviceError where the device gives up, and then keeps what is
+    done, too."""
     from composenet.metrics.report import source_commit
     from composenet.output import OutputWriter
 
@@ -50,23 +54,45 @@ def track_recording(
         warn(console, line)
     with writer, _interruptible() as stop, progress_bar(console) as progress:
         writer.warn_of_recording(told)
-        task = progress.add_task(sequence.name, total=len(sequence), note="")
-        seconds = 0.0
-        for done, frame in enumerate(sequence, start=1):
-            result = tracker(frame)
-            writer.add_frame(frame, result.objects, result.timings_ms)
-            seconds += sum(result.timings_ms.values()) / 1e3
-            note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
-            progress.update(task, advance=1, note=note)
-            if stop:
-                break
+        failure = _track_frames(sequence, tracker, writer, progress, stop)
         writer.warn_of_recording(sequence.warnings)
-        progress.update(task, note="writing meshes and report")
-        run = writer.finish(tracker.tracks(), complete=not stop)
+        run = writer.finish(tracker.tracks(), complete=not stop and failure is None)
     for line in run.warnings:
         if line not in told:
             warn(console, line)
+    if failure is not None:
+        say(console, summary(run, out))
+        raise failure
     return run
+
+
+def _track_frames(
+    sequence: RecordedSequence,
+    tracker: ObjectTracker,
+    writer: OutputWriter,
+    progress: Progress,
+    stop: list[bool],
+) -> DeviceError | None:
+    """Every frame, until there is something in `stop` or the device gives up; why it does. Raises
+    that where nothing is done yet."""
+    task = progress.add_task(sequence.name, total=len(sequence), note="")
+    seconds = 0.0
+    for done, frame in enumerate(sequence, start=1):
+        try:
+            with device_errors(frame.name):
+                result = tracker(frame)
+        except DeviceError as error:
+            if done == 1:
+                raise
+            return error
+        writer.add_frame(frame, result.objects, result.timings_ms)
+        seconds += sum(result.timings_ms.values()) / 1e3
+        note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
+        progress.update(task, advance=1, note=note)
+        if stop:
+            break
+    progress.update(task, note="writing meshes and report")
+    return None
 
 
 def run_track(
