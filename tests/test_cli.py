@@ -156,6 +156,28 @@ def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Pat
     assert (tmp_path / "results.md").read_text().startswith("Data ")
 
 
+def test_predictions_are_scored_against_their_own_sequence(
+    run, capsys, tracked: Path, recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, other = recordings / "val_00000", recordings / "val_00001"
+    result = tracked / "val_00000"
+    options = ["--out", tmp_path / "scores", "--predictions"]
+    for given in (f"{own}/", f"{other}/../val_00000"):
+        assert run("eval", "--data", given, *options, result) == 0
+    (tmp_path / "linked").symlink_to(own)
+    assert run("eval", "--data", tmp_path / "linked", *options, result) == 0
+    monkeypatch.chdir(own)
+    for predictions in (tracked, result):
+        assert run("eval", "--data", ".", *options, predictions) == 0
+    capsys.readouterr()
+    assert run("eval", "--data", other, *options, result) == 1
+    said = capsys.readouterr().err
+    assert "'val_00000'" in said and "'val_00001'" in said and said.count("\n") == 1
+    # Of a folder of sequences, the one that it belongs to is scored.
+    assert run("eval", "--data", recordings, *options, result) == 1
+    assert numbers(tmp_path / "scores")["predictions"]["sequences"] == 1
+
+
 def test_perfect_predictions_score_perfectly(recordings: Path, tracked: Path) -> None:
     """The truth itself, in the world of the tracker, has MOTA 1: frames and ids line up."""
     from composenet.commands.scoring import moved_truth

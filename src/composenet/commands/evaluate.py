@@ -77,9 +77,16 @@ def run_eval(
 
 
 def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
-    """Score one result folder of `track` (PREDICTIONS/NAME, or PREDICTIONS itself)."""
+    """Score one result folder of `track` (PREDICTIONS/NAME, or PREDICTIONS itself). Raises
+    DataError where it is of another sequence."""
     own = predictions / folder.name
-    run = read_predictions(own if own.is_dir() else predictions)
+    own = own if own.is_dir() else predictions
+    run, name = read_predictions(own), folder.resolve().name
+    if run.sequence != name:
+        raise DataError(
+            f"{own}: a result of {run.sequence!r}, not of {name!r}; "
+            f"give what `composenet track {folder}` wrote"
+        )
     if not run.frames:
         raise DataError(f"{own}: no tracked frame in it; run `composenet track {folder}` first")
     first = run.frames[0]
