@@ -14,6 +14,7 @@ import torch
 from rich.console import Console
 
 from composenet import cli
+from composenet import config as configuration
 from composenet.commands.track import track_recording
 from composenet.errors import DeviceError
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
@@ -41,6 +42,14 @@ class Watched:
 def spoil(folder: Path, number: int) -> None:
     """Make a depth image unreadable."""
     sorted((folder / "depth").iterdir())[number].write_bytes(b"no image")
+
+
+def program(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Exit code of `composenet track`."""
+    monkeypatch.setattr(sys, "argv", ["composenet", "track", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    return stop.value.code if isinstance(stop.value.code, int) else 0
 
 
 def test_doubts_about_the_recording_are_said_before_it_is_tracked(
@@ -92,11 +101,8 @@ def test_a_device_that_gives_up_leaves_what_is_done(
         return track(self, frame)
 
     monkeypatch.setattr(ObjectTracker, "__call__", call)
-    command = ["track", recordings / "val_00000", "--out", tmp_path, "--weights", tiny_weights]
-    monkeypatch.setattr(sys, "argv", ["composenet", *map(str, command)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
+    options = ["--out", tmp_path, "--weights", tiny_weights]
+    assert program(monkeypatch, recordings / "val_00000", *options) == 2
     said = capsys.readouterr()
     assert said.err.startswith(f"composenet: frame {seen[2].name}: ") and said.err.count("\n") == 1
     assert reason in said.err and "--device cpu" in said.err
@@ -129,3 +135,36 @@ def test_other_errors_stay_what_they_are(
     sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
     with pytest.raises(RuntimeError, match="shapes"):
         track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]
+
+
+def test_a_configuration_can_be_passed_back_in(
+    monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    options = [recordings / "val_00000", "--max-frames", "1", "--weights", tiny_weights]
+    asked = ["--variant", "no-compl", "--offline"]
+    assert program(monkeypatch, *options, *asked, "--out", first) == 0
+    text = (first / "config.json").read_text()
+    changed = tmp_path / "changed.json"
+    changed.write_text(text.replace('"lost_decay": 0.9', '"lost_decay": 0.7'))
+    assert program(monkeypatch, *options, "--config", changed, "--out", again) == 0
+    tracking = configuration.load(str(again / "config.json")).tracking
+    assert tracking.lost_decay == 0.7 and tracking.offline and not tracking.use_completion
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"volumes": {}}', "odd.json: configuration field 'volumes'"),
+        ("none", "odd.json: not a readable JSON"),
+        ("{}", "does not fit the weights"),
+    ],
+)
+def test_a_configuration_that_does_not_fit(
+    capsys, monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path, text: str, words: str
+) -> None:
+    path, options = tmp_path / "odd.json", ["--weights", tiny_weights, "--out", tmp_path / "out"]
+    path.write_text(text)
+    assert program(monkeypatch, recordings / "val_00000", "--config", path, *options) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1

@@ -121,6 +121,8 @@ class TrackCommand:
     """folder for the result"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
+    config: Path | None = None
+    """configuration to use instead of the weights' own, e.g. a result's config.json"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
     stride: Count = 1
@@ -146,11 +148,12 @@ class TrackCommand:
             self.recording,
             self.out,
             weights=self.weights,
+            config=self.config,
             device=self.device,
             stride=self.stride,
             max_frames=self.max_frames,
             save_every=self.save_every,
-            variant={**VARIANTS[self.variant], "offline": self.offline},
+            variant=VARIANTS[self.variant] | ({"offline": True} if self.offline else {}),
             reading=self.reading,
         )
 

@@ -14,6 +14,7 @@ from rich.progress import Progress
 from composenet.commands.device_errors import device_errors
 from composenet.commands.progress import progress_bar
 from composenet.commands.terminal import say, warn
+from composenet.config import load as load_config
 from composenet.errors import DataError, DeviceError
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
@@ -100,6 +101,7 @@ def run_track(
     out: Path,
     *,
     weights: Path | None,
+    config: Path | None,
     device: str,
     stride: int,
     max_frames: int | None,
@@ -107,7 +109,7 @@ def run_track(
     variant: dict[str, Any],
     reading: SequenceOptions,
 ) -> int:
-    """The command. Returns the exit code."""
+    """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
     sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
     if out.exists() and out.samefile(recording):
@@ -115,7 +117,8 @@ def run_track(
     from composenet.network.weights import default_weights, weights_id
     from composenet.pipeline import load_tracker
 
-    tracker = load_tracker(weights, device=device, **variant)
+    chosen = load_config(config) if config else None
+    tracker = load_tracker(weights, device=device, config=chosen, **variant)
     name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
     say(console, summary(run, out))
