@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import composenet
 from composenet import cli
 from composenet.commands import jobs, variants
 from composenet.commands.score_cache import ScoreCache
@@ -60,6 +61,13 @@ def test_every_command_explains_itself(run, capsys: pytest.CaptureFixture, comma
     text = " ".join(capsys.readouterr().out.split())
     assert f"usage: composenet {command}" in text
     assert "--out" in text or command == "view"
+
+
+def test_version(run, capsys: pytest.CaptureFixture) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"composenet {composenet.__version__}\n"
+    assert run("--help") == 0
+    assert "--version" in capsys.readouterr().out
 
 
 BAD_ARGUMENTS = [

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,8 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
+from composenet.arguments import parse_command
 from composenet.config import Count, Positive, Share
 from composenet.errors import ComposenetError
 from composenet.sequences.options import SequenceOptions
@@ -253,40 +252,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point."""
-    sys.exit(_guarded(_parse))
-
-
-def _parse() -> Any:
-    """The command that the arguments ask for. A mistake in them is said in one line, too."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            command = tyro.extras.subcommand_cli_from_dict(
-                COMMANDS,
-                prog="composenet",
-                description="Finds, completes, poses and tracks furniture in RGB-D video.",
-                config=(tyro.conf.OmitArgPrefixes,),
-            )
-        TypeAdapter(type(command)).validate_python(vars(command))
-        return command
-    except SystemExit as stop:
-        if stop.code:
-            print(f"composenet: {_one_line(said.getvalue())}", file=sys.stderr)
-        raise
-    except ValidationError as error:
-        first = error.errors()[0]
-        option = str(first["loc"][0]).replace("_", "-")
-        print(f"composenet: --{option} {first['input']}: {first['msg']}", file=sys.stderr)
-        sys.exit(2)
-
-
-def _one_line(box: str) -> str:
-    """The message drawn in a box with its title in the frame; what follows a rule is help."""
-    lines = [line.strip(" ╭╮╰╯│") for line in box.splitlines()]
-    title, *body = [line.strip(" ─") for line in lines] or [""]
-    rules = [n for n, line in enumerate(body) if not line]
-    message = " ".join(" ".join(body[: rules[0] if rules else None]).split())
-    return f"{title.lower()}: {message} (composenet COMMAND --help explains)"
+    sys.exit(_guarded(lambda: parse_command(COMMANDS)))
 
 
 def _guarded(parse: Callable[[], Any]) -> int:
