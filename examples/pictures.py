@@ -5,6 +5,7 @@ python examples/pictures.py RECORDING RESULT --out picture.png [--frames 6]
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ import tyro
 from PIL import Image
 
 import composenet
+from composenet.errors import ComposenetError, DataError
 from composenet.predictions import read_predictions
 from composenet.records import TrackState
 from composenet.sequences import SequenceOptions
@@ -33,6 +35,8 @@ def main(
 ) -> None:
     """Draw what was seen in evenly spaced frames, and the top view on the right."""
     run = read_predictions(result)
+    if not run.frames:
+        raise DataError(f"{result}: no tracked frame in it; run `composenet track` again")
     meshes = {i: canonical_mesh(grid) for i, grid in run.canonical.items()}
     wanted = np.linspace(0, len(run.frames) - 1, frames).round().astype(int)
     records = {run.frames[i].index: run.frames[i] for i in wanted}
@@ -51,6 +55,8 @@ def main(
             if (mesh := meshes.get(entry.track_id)) is not None
         ]
         pictures.append(overlay(frame, seen, placed))
+    if not pictures:
+        raise DataError(f"{recording}: has none of the frames of {result}, of {run.sequence!r}")
     sheet = contact_sheet(pictures, columns=columns, cell=(400, 300))
     above = top_view(run, width=600)
     above = above.resize((round(above.width * sheet.height / above.height), sheet.height))
@@ -63,4 +69,7 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except (ComposenetError, OSError) as error:
+        sys.exit(f"pictures: {error}")

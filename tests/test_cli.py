@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import composenet
 from composenet import cli
 from composenet.commands import jobs, variants
 from composenet.commands.score_cache import ScoreCache
@@ -62,6 +63,13 @@ def test_every_command_explains_itself(run, capsys: pytest.CaptureFixture, comma
     assert "--out" in text or command == "view"
 
 
+def test_version(run, capsys: pytest.CaptureFixture) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"composenet {composenet.__version__}\n"
+    assert run("--help") == 0
+    assert "--version" in capsys.readouterr().out
+
+
 BAD_ARGUMENTS = [
     (["track", "{tmp}/none", "--out", "{tmp}/out"], "no such folder"),
     (["track", "{data}/val_00000"], "--out"),
@@ -77,6 +85,7 @@ BAD_ARGUMENTS = [
         "--device",
     ),
     (["track", "{data}/val_00000", "--out", "{tmp}/bad/out", "--weights", "{good}"], "bad/out"),
+    (["track", "{data}/val_00000", "--out", "{data}/val_00000"], "recording itself"),
     (["synth", "--out", "{tmp}/bad/out"], "Not a directory"),
     (["synth"], "--out"),
     (["synth", "--stats", "--count", "-1"], "--count"),
@@ -153,6 +162,28 @@ def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Pat
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["variants"]["predictions"]["sequences"] == 1
     assert (tmp_path / "results.md").read_text().startswith("Data ")
+
+
+def test_predictions_are_scored_against_their_own_sequence(
+    run, capsys, tracked: Path, recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, other = recordings / "val_00000", recordings / "val_00001"
+    result = tracked / "val_00000"
+    options = ["--out", tmp_path / "scores", "--predictions"]
+    for given in (f"{own}/", f"{other}/../val_00000"):
+        assert run("eval", "--data", given, *options, result) == 0
+    (tmp_path / "linked").symlink_to(own)
+    assert run("eval", "--data", tmp_path / "linked", *options, result) == 0
+    monkeypatch.chdir(own)
+    for predictions in (tracked, result):
+        assert run("eval", "--data", ".", *options, predictions) == 0
+    capsys.readouterr()
+    assert run("eval", "--data", other, *options, result) == 1
+    said = capsys.readouterr().err
+    assert "'val_00000'" in said and "'val_00001'" in said and said.count("\n") == 1
+    # Of a folder of sequences, the one that it belongs to is scored.
+    assert run("eval", "--data", recordings, *options, result) == 1
+    assert numbers(tmp_path / "scores")["predictions"]["sequences"] == 1
 
 
 def test_perfect_predictions_score_perfectly(recordings: Path, tracked: Path) -> None:

@@ -258,9 +258,14 @@ def test_an_earlier_run_is_replaced_but_other_files_stay(tmp_path: Path) -> None
         feed(writer, 3)
         writer.finish(tracks(3))
     (tmp_path / "notes.txt").write_text("mine")
-    OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False)
+    with OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False) as writer:
+        assert len(read_predictions(tmp_path).tracks) == 2  # until there is a frame
+    assert len(read_predictions(tmp_path).tracks) == 2
+    writer = OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False)
+    feed(writer, 1)  # the process dies here
     left = sorted(p.name for p in tmp_path.rglob("*") if p.is_file())
-    assert left == ["config.json", "notes.txt"]
+    assert left == ["config.json", "notes.txt", "timings.json", "tracks.json", "tracks.txt"]
+    OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False)  # that is a result, too
 
 
 def test_folder_that_cannot_be_written(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from rich.console import Console
 
+from composenet.errors import DataError
 from composenet.predictions import FrameRecord, PredictedSequence
 from composenet.records import Track, TrackState
 from composenet.view import figures, meshes, plots, replay
@@ -187,6 +190,20 @@ def test_without_rerun_the_replay_is_nothing(tmp_path: Path, monkeypatch) -> Non
     nothing.finish({})
     nothing.close()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("which", ["WEB_PORT", "DATA_PORT"])
+def test_a_taken_port_is_said(which: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        for name in ("WEB_PORT", "DATA_PORT"):
+            monkeypatch.setattr(replay, name, port if name == which else 0)
+        with pytest.raises(DataError, match=f"port {port} is taken.*a b/replay.rrd") as caught:
+            replay.serve_replay(tmp_path / "a b" / "replay.rrd", Console())
+    assert "\n" not in str(caught.value)
 
 
 def test_replay_holds_every_entity(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,8 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
+from composenet.arguments import parse_command
 from composenet.config import Count, Positive, Share
 from composenet.errors import ComposenetError
 from composenet.sequences.options import SequenceOptions
@@ -121,6 +120,8 @@ class TrackCommand:
     """folder for the result"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
+    config: Path | None = None
+    """configuration to use instead of the weights' own, e.g. a result's config.json"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
     stride: Count = 1
@@ -146,11 +147,12 @@ class TrackCommand:
             self.recording,
             self.out,
             weights=self.weights,
+            config=self.config,
             device=self.device,
             stride=self.stride,
             max_frames=self.max_frames,
             save_every=self.save_every,
-            variant={**VARIANTS[self.variant], "offline": self.offline},
+            variant=VARIANTS[self.variant] | ({"offline": True} if self.offline else {}),
             reading=self.reading,
         )
 
@@ -250,40 +252,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point."""
-    sys.exit(_guarded(_parse))
-
-
-def _parse() -> Any:
-    """The command that the arguments ask for. A mistake in them is said in one line, too."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            command = tyro.extras.subcommand_cli_from_dict(
-                COMMANDS,
-                prog="composenet",
-                description="Finds, completes, poses and tracks furniture in RGB-D video.",
-                config=(tyro.conf.OmitArgPrefixes,),
-            )
-        TypeAdapter(type(command)).validate_python(vars(command))
-        return command
-    except SystemExit as stop:
-        if stop.code:
-            print(f"composenet: {_one_line(said.getvalue())}", file=sys.stderr)
-        raise
-    except ValidationError as error:
-        first = error.errors()[0]
-        option = str(first["loc"][0]).replace("_", "-")
-        print(f"composenet: --{option} {first['input']}: {first['msg']}", file=sys.stderr)
-        sys.exit(2)
-
-
-def _one_line(box: str) -> str:
-    """The message drawn in a box with its title in the frame; what follows a rule is help."""
-    lines = [line.strip(" ╭╮╰╯│") for line in box.splitlines()]
-    title, *body = [line.strip(" ─") for line in lines] or [""]
-    rules = [n for n, line in enumerate(body) if not line]
-    message = " ".join(" ".join(body[: rules[0] if rules else None]).split())
-    return f"{title.lower()}: {message} (composenet COMMAND --help explains)"
+    sys.exit(_guarded(lambda: parse_command(COMMANDS)))
 
 
 def _guarded(parse: Callable[[], Any]) -> int:

@@ -162,13 +162,16 @@ def from_dict(data: dict[str, Any], kind: type = Config) -> Any:
         raise ConfigError(f"configuration field {where!r}: {first['msg']}") from None
 
 
-def load(path: Path, kind: type = Config) -> Any:
-    """Configuration from a JSON file. Raises ConfigError."""
+def load(path: Path | str, kind: type = Config) -> Any:
+    """Configuration from a JSON file. Raises ConfigError naming it."""
     try:
-        data = json.loads(path.read_text())
+        data = json.loads(Path(path).read_text())
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not a readable JSON configuration ({error})") from None
-    return from_dict(data, kind)
+    try:
+        return from_dict(data, kind)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def dump(config: Any, path: Path) -> None:

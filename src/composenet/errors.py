@@ -20,5 +20,9 @@ class ConfigError(ComposenetError):
     """A configuration does not validate."""
 
 
+class DeviceError(ComposenetError):
+    """The machine cannot do what is asked of it: out of memory, or a failure of the GPU."""
+
+
 class DataError(ComposenetError):
     """A data folder, mesh folder or result file is not what was expected."""

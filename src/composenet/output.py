@@ -15,7 +15,6 @@ import trimesh
 
 from composenet import config as configuration
 from composenet.config import Config
-from composenet.errors import DataError
 from composenet.predictions import (
     CANONICAL,
     TRACKS_JSON,
@@ -25,16 +24,16 @@ from composenet.predictions import (
     read_predictions,
 )
 from composenet.records import Camera, Frame, Track, TrackedObject, TrackState
+from composenet.result_folder import CONFIG, REPLAY, REPORT, TIMINGS, claim, clear, writing
 from composenet.timings import summarise_timings
 from composenet.tracks_file import FrameText, frame_text, tracks_json, tracks_text
 from composenet.view.figures import ColoredMesh, overlay, track_color
 from composenet.view.meshes import canonical_mesh, last_observed, place, save_mesh, write_atomic
-from composenet.view.replay import NoReplay, open_replay
+from composenet.view.replay import NoReplay, Replay, open_replay
 from composenet.view.report import Picture, write_report
 
 __all__ = ["OutputWriter", "read_predictions"]
 
-CONFIG, TIMINGS, REPORT, REPLAY = "config.json", "timings.json", "report.html", "replay.rrd"
 TIMINGS_SCHEMA = "composenet.timings/1"
 MAX_PICTURES = 12
 
@@ -45,10 +44,11 @@ class OutputWriter:
     Every `save_every` frames, and when left by an exception or ctrl-C, tracks.json, tracks.txt
     and timings.json are written with what is done (meta.complete is false); `finish` adds
     meshes, reconstructions and the report. Files appear whole or not at all; those of an
-    earlier run in the same folder are removed first.
+    earlier run in the same folder are replaced with the first frame.
 
     commit, weights_id: noted in tracks.json. replay: write replay.rrd where rerun is installed.
-    Raises DataError when the folder cannot be written.
+    Raises DataError when the folder cannot be written, or holds files of these names that are no
+    earlier result.
     """
 
     def __init__(
@@ -72,21 +72,13 @@ class OutputWriter:
         self._texts: list[FrameText] = []
         self._timings: list[dict[str, float]] = []
         self._class_ids: dict[int, int] = {}
+        self._recording_warnings: tuple[str, ...] = ()
         self._warnings: list[str] = []
         self._keepsakes = _Keepsakes()
-        self._finished = False
-        try:
-            self._clear()
-            configuration.dump(config, self.out_dir / CONFIG)
-        except OSError as error:
-            raise DataError(
-                f"{self.out_dir}: cannot write the result here ({error.strerror}); "
-                "give another --out folder"
-            ) from None
-        path = self.out_dir / REPLAY
-        self._replay = open_replay(path, sequence_name) if replay else NoReplay()
-        if self._replay.hint:
-            self.warn(self._replay.hint)
+        self._config, self._wants_replay = config, replay
+        self._replay: Replay = NoReplay()
+        self._begun = self._finished = False
+        claim(self.out_dir)
 
     def __enter__(self) -> Self:
         return self
@@ -97,7 +89,7 @@ class OutputWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not self._finished:
+        if self._begun and not self._finished:
             self.save()
             self._replay.close()
 
@@ -106,10 +98,15 @@ class OutputWriter:
         if text not in self._warnings:
             self._warnings.append(text)
 
+    def warn_of_recording(self, lines: Sequence[str]) -> None:
+        """Warnings about the recording, in place of those given before: their counts grow."""
+        self._recording_warnings = tuple(lines)
+
     def add_frame(
         self, frame: Frame, tracked: Sequence[TrackedObject], timings_ms: Mapping[str, float]
     ) -> None:
         """Take one tracked frame. timings_ms: milliseconds by stage, stages apart (no sums)."""
+        self._begin()
         self._frames.append(
             FrameRecord(
                 index=frame.index,
@@ -129,6 +126,7 @@ class OutputWriter:
 
     def save(self) -> None:
         """Write tracks.json, tracks.txt and timings.json with what is done so far."""
+        self._begin()
         self._save(self._snapshot())
 
     def finish(self, tracks: Sequence[Track], *, complete: bool = True) -> PredictedSequence:
@@ -137,6 +135,7 @@ class OutputWriter:
         tracks: all of them, ended ones too, with whole histories. These replace what add_frame
         was given, so that an offline pass over the sequence is what ends up in the files.
         """
+        self._begin()
         canonical = {track.track_id: track.canonical for track in tracks if track.history}
         meshes = {
             track_id: mesh
@@ -149,7 +148,7 @@ class OutputWriter:
         run = dataclasses.replace(self._snapshot(), canonical=canonical, complete=complete)
         placed = self._save_meshes(run, meshes)
         files = {track_id: f"meshes/track_{track_id}.ply" for track_id in placed}
-        run = dataclasses.replace(run, mesh_files=files, warnings=tuple(self._warnings))
+        run = dataclasses.replace(run, mesh_files=files, warnings=self._all_warnings())
         self._save_canonical(canonical)
         self._save(run)
         self._replay.finish(meshes)
@@ -158,13 +157,30 @@ class OutputWriter:
         self._finished = True
         return run
 
+    def _begin(self) -> None:
+        """Put this run, still without frames, in the place of an earlier one; once."""
+        if self._begun:
+            return
+        with writing(self.out_dir):
+            clear(self.out_dir)
+            self._save(self._snapshot())
+            configuration.dump(self._config, self.out_dir / CONFIG)
+        if self._wants_replay:
+            self._replay = open_replay(self.out_dir / REPLAY, self._run.sequence)
+        if self._replay.hint:
+            self.warn(self._replay.hint)
+        self._begun = True
+
     def _snapshot(self) -> PredictedSequence:
         return dataclasses.replace(
             self._run,
             frames=tuple(self._frames),
             class_ids=dict(self._class_ids),
-            warnings=tuple(self._warnings),
+            warnings=self._all_warnings(),
         )
+
+    def _all_warnings(self) -> tuple[str, ...]:
+        return (*self._recording_warnings, *self._warnings)
 
     def _save(self, run: PredictedSequence) -> None:
         write_atomic(self.out_dir / TRACKS_TXT, tracks_text(self._texts).encode())
@@ -213,16 +229,6 @@ class OutputWriter:
             ]
             pictures.append(Picture(position, overlay(frame, objects, placed)))
         return pictures
-
-    def _clear(self) -> None:
-        """Make the folder and remove what an earlier run wrote to it."""
-        self.out_dir.mkdir(parents=True, exist_ok=True)
-        names = (TRACKS_JSON, TRACKS_TXT, CANONICAL, CONFIG, TIMINGS, REPORT, REPLAY)
-        old = [self.out_dir / name for name in names]
-        for kind in ("ply", "glb"):
-            old += (self.out_dir / "meshes").glob(f"track_*.{kind}")
-        for path in old:
-            path.unlink(missing_ok=True)
 
 
 class _Keepsakes:

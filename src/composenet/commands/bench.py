@@ -24,6 +24,7 @@ from composenet.commands.scoring import (
     sequence_folders,
     tall_table,
 )
+from composenet.commands.terminal import say
 from composenet.errors import DataError, WeightsError
 from composenet.metrics.report import RunInfo, sections, write_results
 
@@ -75,7 +76,7 @@ def run_bench(
         for section in sections(scores)[:2]:
             console.print(tall_table(section))
         paths = f"{out / 'results.json'} and {page}"
-        console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
+        say(console, f"wrote {paths}")
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
     return 1 if lines else 0
@@ -152,7 +153,7 @@ def _weights_by_row(
         except WeightsError as error:
             if not lenient:
                 raise
-            console.print(f"without {name}: {error}", highlight=False, soft_wrap=True)
+            say(console, f"without {name}: {error}")
     return found
 
 

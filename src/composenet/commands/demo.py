@@ -8,6 +8,7 @@ from rich.console import Console
 
 from composenet.commands.evaluate import score_folder
 from composenet.commands.scoring import tall_table
+from composenet.commands.terminal import say
 from composenet.commands.track import INTERRUPTED_EXIT_CODE, summary, track_recording
 from composenet.metrics.evaluate import aggregate
 from composenet.metrics.report import RunInfo, sections, write_results
@@ -24,18 +25,18 @@ def run_demo(out: Path, *, device: str, frames: int, weights: Path | None = None
     from composenet.synth.scene import SceneOptions
 
     console = Console()
-    console.print("1/3 generating a room with moving furniture and a hand-held RGB-D camera")
+    say(console, "1/3 generating a room with moving furniture and a hand-held RGB-D camera")
     options = SceneOptions(frames=frames)
     (recording,) = write_split("val", 1, out / "recording", DEMO_INDEX, options)
-    console.print("2/3 tracking it: detection, completion, pose, identity")
+    say(console, "2/3 tracking it: detection, completion, pose, identity")
     sequence = open_sequence(recording)
     result = out / "result"
     run = track_recording(sequence, load_tracker(weights, device=device), result, console)
     if not run.complete:
         return INTERRUPTED_EXIT_CODE
-    console.print("3/3 scoring it against the generator's ground truth")
+    say(console, "3/3 scoring it against the generator's ground truth")
     scores = {"full": aggregate([score_folder(recording, result).scores])}
     write_results(out / "results.json", RunInfo(f"val_{DEMO_INDEX:05d}", seed=0), scores)
     console.print(tall_table(sections(scores)[0]))
-    console.print(summary(run, result), highlight=False, soft_wrap=True)
+    say(console, summary(run, result))
     return 0

@@ -19,6 +19,7 @@ from composenet.commands.scoring import (
     sequence_folders,
     tall_table,
 )
+from composenet.commands.terminal import say
 from composenet.errors import DataError
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.predictions import read_predictions
@@ -69,16 +70,23 @@ def run_eval(
         for section in sections(scores):
             console.print(tall_table(section))
         paths = f"{out / 'results.json'} and {out / 'results.md'}"
-        console.print(f"wrote {paths}", highlight=False, soft_wrap=True)
+        say(console, f"wrote {paths}")
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
     return 1 if lines else 0
 
 
 def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
-    """Score one result folder of `track` (PREDICTIONS/NAME, or PREDICTIONS itself)."""
+    """Score one result folder of `track` (PREDICTIONS/NAME, or PREDICTIONS itself). Raises
+    DataError where it is of another sequence."""
     own = predictions / folder.name
-    run = read_predictions(own if own.is_dir() else predictions)
+    own = own if own.is_dir() else predictions
+    run, name = read_predictions(own), folder.resolve().name
+    if run.sequence != name:
+        raise DataError(
+            f"{own}: a result of {run.sequence!r}, not of {name!r}; "
+            f"give what `composenet track {folder}` wrote"
+        )
     if not run.frames:
         raise DataError(f"{own}: no tracked frame in it; run `composenet track {folder}` first")
     first = run.frames[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,7 +71,7 @@ def sequence_folders(data: Path) -> list[Path]:
     if not data.is_dir():
         raise DataError(f"{data}: no such folder; make one with `composenet synth --out {data}`")
     if (data / "annotations.json").exists():
-        return [data]
+        return [Path(os.path.abspath(data))]  # `.` has no name
     folders = sorted(p.parent for p in data.glob("*/annotations.json"))
     if not folders:
         raise DataError(f"{data}: no sequence with an annotations.json in it, nothing to score")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from composenet.commands.terminal import say
+
 
 def run_synth(
     out: Path | None,
@@ -35,10 +37,10 @@ def run_synth(
     options = SceneOptions(frames=frames, image_size=image_size, cad_dir=cad, cad_share=cad_share)
     if out is not None:
         folders = write_split(split, count, out, start, options, workers)
-        console.print(f"{len(folders)} sequences in {out}", highlight=False)
+        say(console, f"{len(folders)} sequences in {out}")
     if stats:
         measured = measure_split(split, count, start, options, workers)
         console.print(as_table(requirements(measured)))
         counts = class_counts(measured)
-        console.print("tracks: " + ", ".join(f"{n} {c}" for n, c in counts.items()))
+        say(console, "tracks: " + ", ".join(f"{n} {c}" for n, c in counts.items()))
     return 0

@@ -9,12 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.progress import Progress
 
+from composenet.commands.device_errors import device_errors
 from composenet.commands.progress import progress_bar
+from composenet.commands.terminal import say, warn
+from composenet.config import load as load_config
+from composenet.errors import DataError, DeviceError
 from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
 if TYPE_CHECKING:
+    from composenet.output import OutputWriter
     from composenet.pipeline import ObjectTracker
 
 INTERRUPTED_EXIT_CODE = 130
@@ -29,7 +35,9 @@ def track_recording(
     save_every: int = 50,
     weights_id: str = "",
 ) -> PredictedSequence:
-    """Track every frame and write the result folder; ctrl-C keeps what is done."""
+    """Track every frame and write the result folder; ctrl-C keeps what is done. Warnings are said
+    as soon as they are known. Raises DeviceError where the device gives up, and then keeps what is
+    done, too."""
     from composenet.metrics.report import source_commit
     from composenet.output import OutputWriter
 
@@ -42,21 +50,50 @@ def track_recording(
         weights_id=weights_id,
         save_every=save_every,
     )
+    told = sequence.warnings
+    for line in told:
+        warn(console, line)
     with writer, _interruptible() as stop, progress_bar(console) as progress:
-        task = progress.add_task(sequence.name, total=len(sequence), note="")
-        seconds = 0.0
-        for done, frame in enumerate(sequence, start=1):
-            result = tracker(frame)
-            writer.add_frame(frame, result.objects, result.timings_ms)
-            seconds += sum(result.timings_ms.values()) / 1e3
-            note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
-            progress.update(task, advance=1, note=note)
-            if stop:
-                break
-        for line in sequence.warnings:
-            writer.warn(line)
-        progress.update(task, note="writing meshes and report")
-        return writer.finish(tracker.tracks(), complete=not stop)
+        writer.warn_of_recording(told)
+        failure = _track_frames(sequence, tracker, writer, progress, stop)
+        writer.warn_of_recording(sequence.warnings)
+        run = writer.finish(tracker.tracks(), complete=not stop and failure is None)
+    for line in run.warnings:
+        if line not in told:
+            warn(console, line)
+    if failure is not None:
+        say(console, summary(run, out))
+        raise failure
+    return run
+
+
+def _track_frames(
+    sequence: RecordedSequence,
+    tracker: ObjectTracker,
+    writer: OutputWriter,
+    progress: Progress,
+    stop: list[bool],
+) -> DeviceError | None:
+    """Every frame, until there is something in `stop` or the device gives up; why it does. Raises
+    that where nothing is done yet."""
+    task = progress.add_task(sequence.name, total=len(sequence), note="")
+    seconds = 0.0
+    for done, frame in enumerate(sequence, start=1):
+        try:
+            with device_errors(frame.name):
+                result = tracker(frame)
+        except DeviceError as error:
+            if done == 1:
+                raise
+            return error
+        writer.add_frame(frame, result.objects, result.timings_ms)
+        seconds += sum(result.timings_ms.values()) / 1e3
+        note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
+        progress.update(task, advance=1, note=note)
+        if stop:
+            break
+    progress.update(task, note="writing meshes and report")
+    return None
 
 
 def run_track(
@@ -64,6 +101,7 @@ def run_track(
     out: Path,
     *,
     weights: Path | None,
+    config: Path | None,
     device: str,
     stride: int,
     max_frames: int | None,
@@ -71,18 +109,19 @@ def run_track(
     variant: dict[str, Any],
     reading: SequenceOptions,
 ) -> int:
-    """The command. Returns the exit code."""
+    """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
     sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
+    if out.exists() and out.samefile(recording):
+        raise DataError(f"{out}: this is the recording itself; give another --out folder")
     from composenet.network.weights import default_weights, weights_id
     from composenet.pipeline import load_tracker
 
-    tracker = load_tracker(weights, device=device, **variant)
+    chosen = load_config(config) if config else None
+    tracker = load_tracker(weights, device=device, config=chosen, **variant)
     name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
-    for line in run.warnings:
-        console.print(f"[yellow]warning[/] {line}", highlight=False, soft_wrap=True)
-    console.print(summary(run, out), highlight=False, soft_wrap=True)
+    say(console, summary(run, out))
     return 0 if run.complete else INTERRUPTED_EXIT_CODE
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from composenet.commands.terminal import say
+
 
 def run_train(
     *,
@@ -39,6 +41,5 @@ def run_train(
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
     weights = train(training_config(config), options, source)
     if os.environ.get("RANK", "0") == "0":
-        line = f"wrote {weights}; try it: composenet demo --weights {weights}"
-        Console().print(line, highlight=False, soft_wrap=True)
+        say(Console(), f"wrote {weights}; try it: composenet demo --weights {weights}")
     return 0

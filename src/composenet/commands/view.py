@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from composenet.commands.terminal import say
 from composenet.errors import DataError
 
 
@@ -26,7 +27,7 @@ def run_view(result: Path, *, replay: bool) -> int:
     page = result / "report.html"
     if not page.is_file():
         raise DataError(f"{page}: no report; is {result} a finished result of `composenet track`?")
-    console.print(f"opening {page}", highlight=False)
+    say(console, f"opening {page}")
     if not webbrowser.open(page.resolve().as_uri()):
-        console.print("no browser here: open the file yourself", highlight=False)
+        say(console, "no browser here: open the file yourself")
     return 0

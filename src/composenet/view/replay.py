@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import shlex
+import socket
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -22,6 +24,8 @@ from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, Tr
 from composenet.view.figures import STATE_COLORS, label_of, track_color
 
 INSTALL_HINT = "no replay.rrd: rerun is not installed; pip install 'composenet[viz]' adds it"
+WEB_PORT, DATA_PORT = 9090, 9876
+"""rerun's own: of its web viewer, and of what it shows"""
 _JPEG_QUALITY = 85
 _TRAIL = 300
 """steps of a path that are shown behind the current frame"""
@@ -63,18 +67,36 @@ def open_replay(path: Path, name: str) -> Replay:
 
 
 def serve_replay(path: Path, console: Console) -> None:
-    """Show an .rrd file in the web viewer until ctrl-C. Raises DataError without rerun."""
+    """Show an .rrd file in the web viewer until ctrl-C. Raises DataError without rerun, or where
+    its ports are taken."""
     if importlib.util.find_spec("rerun") is None:
         raise DataError("rerun is not installed: pip install 'composenet[viz]' adds it")
+    for port in (WEB_PORT, DATA_PORT):
+        if not _is_free(port):
+            raise DataError(
+                f"port {port} is taken, by another viewer perhaps: end that, or use free ports "
+                f"with `rerun --new --web-viewer --web-viewer-port 0 {shlex.quote(str(path))}`"
+            )
     import rerun
 
     stream = rerun.RecordingStream("composenet", send_properties=False)
-    address = stream.serve_grpc()
+    address = stream.serve_grpc(grpc_port=DATA_PORT)
     stream.log_file_from_path(path)
-    rerun.serve_web_viewer(connect_to=address)
-    console.print("the viewer is at http://localhost:9090; ctrl-C ends it", highlight=False)
+    rerun.serve_web_viewer(web_port=WEB_PORT, connect_to=address)
+    console.print(f"the viewer is at http://localhost:{WEB_PORT}; ctrl-C ends it", highlight=False)
     with contextlib.suppress(KeyboardInterrupt):
         threading.Event().wait()
+
+
+def _is_free(port: int) -> bool:
+    """Asked beforehand, since rerun goes on without its data where only that port is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("0.0.0.0", port))
+        except OSError:
+            return False
+    return True
 
 
 class RerunReplay:

@@ -1,0 +1,170 @@
+"""`track` while it runs: what it says when, and what is left when it cannot go on."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from rich.console import Console
+
+from composenet import cli
+from composenet import config as configuration
+from composenet.commands.track import track_recording
+from composenet.errors import DeviceError
+from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
+from composenet.predictions import read_predictions
+from composenet.records import Frame
+from composenet.sequences import open_sequence
+
+
+class Watched:
+    """A tracker of a network that has learned nothing; before each frame, counted from 1,
+    something is done."""
+
+    def __init__(self, weights: Path, before: Callable[[int], None]) -> None:
+        self._tracker, self._before, self._count = load_tracker(weights, device="cpu"), before, 0
+
+    def __call__(self, frame: Frame) -> FrameResult:
+        self._count += 1
+        self._before(self._count)
+        return self._tracker(frame)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._tracker, name)
+
+
+def spoil(folder: Path, number: int) -> None:
+    """Make a depth image unreadable."""
+    sorted((folder / "depth").iterdir())[number].write_bytes(b"no image")
+
+
+def program(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Exit code of `composenet track`."""
+    monkeypatch.setattr(sys, "argv", ["composenet", "track", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    return stop.value.code if isinstance(stop.value.code, int) else 0
+
+
+def test_doubts_about_the_recording_are_said_before_it_is_tracked(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    folder, out = tmp_path / "recording", tmp_path / "out"
+    shutil.copytree(recordings / "val_00000", folder)
+    spoil(folder, 1)
+    said = io.StringIO()
+
+    def before(count: int) -> None:
+        if count == 1:
+            assert "warning 1 frame skipped: depth" in said.getvalue()
+        elif count == 2:
+            assert any("1 frame skipped" in line for line in read_predictions(out).warnings)
+            spoil(folder, 4)
+
+    sequence, tracker = open_sequence(folder), Watched(tiny_weights, before)
+    run = track_recording(sequence, tracker, out, Console(file=said))  # type: ignore[arg-type]
+    assert len(run.frames) == 4
+    assert [line.split(":")[0] for line in run.warnings if "skip" in line] == ["2 frames skipped"]
+    lines = [line for line in said.getvalue().splitlines() if "skip" in line]
+    assert [line.split(":")[0] for line in lines] == [
+        "warning 1 frame skipped",
+        "warning 2 frames skipped",
+    ]
+    assert set(sequence.warnings) <= set(run.warnings)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"), "out of memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: 9 bytes"), "out of memory"),
+        (MemoryError(), "out of memory"),
+        (RuntimeError("CUDA error: device-side assert\nCompile with"), "assert; try --device cpu"),
+    ],
+)
+def test_a_device_that_gives_up_leaves_what_is_done(
+    capsys, monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path,
+    error: Exception, reason: str,
+) -> None:  # fmt: skip
+    track, seen = ObjectTracker.__call__, []
+
+    def call(self: ObjectTracker, frame: Frame) -> FrameResult:
+        seen.append(frame)
+        if len(seen) == 3:
+            raise error
+        return track(self, frame)
+
+    monkeypatch.setattr(ObjectTracker, "__call__", call)
+    options = ["--out", tmp_path, "--weights", tiny_weights]
+    assert program(monkeypatch, recordings / "val_00000", *options) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(f"composenet: frame {seen[2].name}: ") and said.err.count("\n") == 1
+    assert reason in said.err and "--device cpu" in said.err
+    assert "in 2 frames (interrupted" in said.out
+    result = read_predictions(tmp_path)
+    assert not result.complete and len(result.frames) == 2 and result.mesh_files
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_a_device_that_gives_up_at_once_changes_nothing(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    def fail(_: int) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
+    track_recording(sequence, Watched(tiny_weights, lambda _: None), tmp_path, console)  # type: ignore[arg-type]
+    before = (tmp_path / "tracks.json").read_text()
+    with pytest.raises(DeviceError, match="out of memory"):
+        track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]
+    assert (tmp_path / "tracks.json").read_text() == before
+
+
+def test_other_errors_stay_what_they_are(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    def fail(_: int) -> None:
+        raise RuntimeError("shapes do not match")
+
+    sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
+    with pytest.raises(RuntimeError, match="shapes"):
+        track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]
+
+
+def test_a_configuration_can_be_passed_back_in(
+    monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    options = [recordings / "val_00000", "--max-frames", "1", "--weights", tiny_weights]
+    asked = ["--variant", "no-compl", "--offline"]
+    assert program(monkeypatch, *options, *asked, "--out", first) == 0
+    text = (first / "config.json").read_text()
+    changed = tmp_path / "changed.json"
+    changed.write_text(text.replace('"lost_decay": 0.9', '"lost_decay": 0.7'))
+    assert program(monkeypatch, *options, "--config", changed, "--out", again) == 0
+    tracking = configuration.load(str(again / "config.json")).tracking
+    assert tracking.lost_decay == 0.7 and tracking.offline and not tracking.use_completion
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"volumes": {}}', "odd.json: configuration field 'volumes'"),
+        ("none", "odd.json: not a readable JSON"),
+        ("{}", "does not fit the weights"),
+    ],
+)
+def test_a_configuration_that_does_not_fit(
+    capsys, monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path, text: str, words: str
+) -> None:
+    path, options = tmp_path / "odd.json", ["--weights", tiny_weights, "--out", tmp_path / "out"]
+    path.write_text(text)
+    assert program(monkeypatch, recordings / "val_00000", "--config", path, *options) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
