@@ -53,7 +53,10 @@ def run_jobs(
             todo[folder] = missing
     with progress_bar(console) as progress:
         total = len(folders)
-        task = progress.add_task("scoring", total=total, completed=total - len(todo), note="")
+        what = names[0] if len(names) == 1 else f"{len(names)} variants"
+        task = progress.add_task(
+            f"scoring {what}", total=total, completed=total - len(todo), note=""
+        )
 
         def finish(folder: Path, outcome: dict[str, ScoredSequence] | str) -> None:
             for name in todo[folder]:
@@ -61,7 +64,7 @@ def run_jobs(
                 done[name, folder] = one
                 if isinstance(one, ScoredSequence):
                     cache.save(folder, name, one)
-            progress.update(task, advance=1, note=f"{folder.name} {' '.join(todo[folder])}")
+            progress.update(task, advance=1, note=folder.name)
 
         for folder in _run_pool(todo, work, workers, finish):
             if _run_pool({folder: todo[folder]}, work, 1, finish):
