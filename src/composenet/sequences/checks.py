@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from composenet.errors import SequenceError
+from composenet.geometry.camera import back_project, project
 from composenet.geometry.transform import apply_T
 from composenet.records import Camera, FloatArray
 from composenet.sequences.source import Source, SourceFrame
@@ -18,6 +19,7 @@ _COMMON_SCALES = (1000.0, 5000.0, 4000.0, 10000.0, 256.0, 100.0, 1.0)
 _MAX_STEP_M = 5.0
 MAX_SPAN_M = 1000.0
 _USUAL_MISFIT_M = 0.03
+_NEAR_M = 0.1
 _SHARED = 0.3  # of the points of one frame, those that another must see, too
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
@@ -103,7 +105,7 @@ def check_steps(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
 
 
 def pose_notes(
-    pairs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], K: FloatArray
+    pairs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], camera: Camera
 ) -> list[str]:
     """A note when the depth of frames fits later ones little better by the poses than without any
     motion.
@@ -113,8 +115,8 @@ def pose_notes(
     errors = [
         (moved, still)
         for earlier, later, T in pairs
-        if (moved := _misfit_m(earlier, later, T, K)) is not None
-        and (still := _misfit_m(earlier, later, np.eye(4), K)) is not None
+        if (moved := _misfit_m(earlier, later, T, camera)) is not None
+        and (still := _misfit_m(earlier, later, np.eye(4), camera)) is not None
     ]
     if not errors:
         return []
@@ -129,23 +131,19 @@ def pose_notes(
 
 
 def _misfit_m(
-    earlier: FloatArray, later: FloatArray, T_later_earlier: FloatArray, K: FloatArray
+    earlier: FloatArray, later: FloatArray, T_later_earlier: FloatArray, camera: Camera
 ) -> float | None:
     """Median difference between the later depth and the earlier one's points seen from there;
     None where they see too little in common."""
-    rows, columns = np.mgrid[: earlier.shape[0] : 4, : earlier.shape[1] : 4].reshape(2, -1)
-    z = earlier[rows, columns]
-    rows, columns, z = rows[z > 0], columns[z > 0], z[z > 0]
-    points = np.stack(
-        [(columns - K[0, 2]) / K[0, 0] * z, (rows - K[1, 2]) / K[1, 1] * z, z], axis=1
-    )
-    points = apply_T(T_later_earlier, points)
-    points = points[points[:, 2] > 0.1]
-    pixels = np.round(points[:, :2] / points[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]).astype(int)
-    inside = ((pixels >= 0) & (pixels < later.shape[::-1])).all(axis=1)
-    measured = later[pixels[inside, 1], pixels[inside, 0]]
-    differences = np.abs(measured - points[inside, 2])[measured > 0]
-    if len(differences) < _SHARED * len(z) or not len(differences):
+    points = back_project(earlier, camera)[::4, ::4].reshape(-1, 3)
+    points = points[points[:, 2] > 0]
+    moved = apply_T(T_later_earlier, points)
+    moved = moved[moved[:, 2] > _NEAR_M]
+    columns, rows = np.rint(project(moved, camera)).astype(int).T
+    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    measured = later[rows[inside], columns[inside]]
+    differences = np.abs(measured - moved[inside, 2])[measured > 0]
+    if len(differences) < max(_SHARED * len(points), 1):
         return None
     return float(np.median(differences))
 

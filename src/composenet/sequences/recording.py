@@ -62,7 +62,7 @@ class RecordedSequence:
         self._notes += checks.check_steps(source.path, self._frames)
         samples = self._read_samples()
         self._notes += checks.check_depth(source.path, samples, self._depth_scale)
-        self._notes += checks.pose_notes(self._pairs(samples), self.camera.K)
+        self._notes += checks.pose_notes(self._pairs(samples), self.camera)
         self._level(samples)
 
     def __len__(self) -> int:
