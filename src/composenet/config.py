@@ -78,6 +78,8 @@ class DetectionConfig:
     """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
     max_proposals: Count = 30
     """of each radius"""
+    looks: Count = 2
+    """how often a proposal is looked at, each time where the look before put it"""
     min_score: Share = 0.3
     """a box of less quality is dropped"""
     duplicate_iou: Share = 0.25

@@ -18,7 +18,9 @@ from composenet.network.model import ComposeNet
 from composenet.volume.memory import FREE_CELL_M
 from composenet.volume.voxels import FEATURE_NAMES
 
-_SIDEWAYS = [FEATURE_NAMES.index(name) for name in ("offset_y", "normal_y", "view_y")]
+_SIDEWAYS = ("offset_y", "normal_y", "view_y")
+_SIGNS = [-1.0 if name in _SIDEWAYS else 1.0 for name in FEATURE_NAMES]
+"""of a voxel's features in the mirror image"""
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,10 @@ class Mirror:
     @staticmethod
     def of(network: ComposeNet, batch: VolumeBatch) -> Mirror:
         """Looks at the mirror image."""
-        coords, features = batch.coords.clone(), batch.features.clone()
+        coords = batch.coords.clone()
         last = int(coords[:, 2].max())
         coords[:, 2] = last - coords[:, 2]
-        features[:, _SIDEWAYS] *= -1
+        features = batch.features * batch.features.new_tensor(_SIGNS)
         width_m = last * batch.voxel_size_m
         T_grid_image = torch.diag(batch.T_camera_grid.new_tensor([1.0, -1.0, 1.0, 1.0]))
         T_grid_image[1, 3] = width_m

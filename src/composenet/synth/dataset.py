@@ -44,7 +44,7 @@ from composenet.records import (
 from composenet.synth import stats
 from composenet.synth.scene import (
     DEFAULT_OPTIONS,
-    GENERATOR_VERSION,
+    GENERATOR_VERSIONS,
     Scene,
     SceneOptions,
     generate_scene,
@@ -134,7 +134,7 @@ def _check_same(folder: Path, split: str, index: int, options: SceneOptions) -> 
     """Raises DataError where an existing folder holds something else."""
     data = _read_annotations(folder)
     wanted = {
-        "generator_version": GENERATOR_VERSION,
+        "generator_version": GENERATOR_VERSIONS[split],
         "split": split,
         "index": index,
         "image_size": list(options.image_size),
@@ -199,7 +199,7 @@ def _write_matrix(path: Path, matrix: NDArray[np.float64]) -> None:
 def _annotations(scene: Scene, frames: tuple[tuple[ObjectFrameTruth, ...], ...]) -> dict[str, Any]:
     return {
         "version": ANNOTATION_VERSION,
-        "generator_version": GENERATOR_VERSION,
+        "generator_version": GENERATOR_VERSIONS[scene.split],
         "split": scene.split,
         "index": scene.index,
         "n_frames": scene.n_frames,

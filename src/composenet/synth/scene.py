@@ -36,9 +36,12 @@ from composenet.synth.sensor import Sensor, measure, sample_sensor
 from composenet.synth.shading import Light, shade
 from composenet.synth.shape import Shape
 
-GENERATOR_VERSION = 2
-SPLITS = ("train", "val", "test")
+GENERATOR_VERSIONS = {"train": 3, "val": 2, "test": 2}
+"""val and test are fixed; what training draws from has grown since."""
+SPLITS = tuple(GENERATOR_VERSIONS)
 LOW_SCALE, HIGH_SCALE = 0.85, 1.2
+ODD_SHARE, ODD_LOW, ODD_HIGH = 0.15, 0.8, 1.4
+"""Share of the training furniture that is smaller or larger as a whole, and how much."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +209,7 @@ def generate_scene(split: str, index: int, options: SceneOptions = DEFAULT_OPTIO
     as expected.
     """
     rng = _rng(split, index, 0)
-    make = _shape_source(rng, options)
+    make = _shape_source(rng, options, split == "train")
     camera = _camera(rng, options.image_size)
     half_view = float(np.arctan(camera.width / 2 / camera.K[0, 0]))
     while True:
@@ -237,11 +240,11 @@ def _rng(split: str, index: int, stream: int) -> np.random.Generator:
     """Independent numbers for every split, sequence and purpose."""
     if split not in SPLITS or index < 0:
         raise DataError(f"no sequence {split!r} {index}: expected {'/'.join(SPLITS)} and 0 or more")
-    key = zlib.crc32(split.encode())
-    return np.random.default_rng(np.random.SeedSequence([GENERATOR_VERSION, key, index, stream]))
+    key, version = zlib.crc32(split.encode()), GENERATOR_VERSIONS[split]
+    return np.random.default_rng(np.random.SeedSequence([version, key, index, stream]))
 
 
-def _shape_source(rng: np.random.Generator, options: SceneOptions) -> MakeShape:
+def _shape_source(rng: np.random.Generator, options: SceneOptions, training: bool) -> MakeShape:
     """Makes furniture (procedural or CAD, its size varied) and clutter."""
     library = cad.load_library(options.cad_dir) if options.cad_dir is not None else {}
 
@@ -254,15 +257,18 @@ def _shape_source(rng: np.random.Generator, options: SceneOptions) -> MakeShape:
         if models and rng.random() < options.cad_share:
             shape = cad.load_shape(models[int(rng.integers(len(models)))], class_name)
         else:
-            shape = make_furniture(class_name, rng)
-        return stretched(shape, rng)
+            shape = make_furniture(class_name, rng, further=training)
+        odd = training and rng.random() < ODD_SHARE
+        whole = np.exp(rng.uniform(np.log(ODD_LOW), np.log(ODD_HIGH))) if odd else 1.0
+        return stretched(shape, rng, whole)
 
     return make
 
 
-def stretched(shape: Shape, rng: np.random.Generator) -> Shape:
-    """The shape with its length, width and height varied; its symmetry is kept."""
-    factors = np.exp(rng.uniform(np.log(LOW_SCALE), np.log(HIGH_SCALE), 3))
+def stretched(shape: Shape, rng: np.random.Generator, whole: float = 1.0) -> Shape:
+    """The shape with its length, width and height varied about `whole` times what they were; its
+    symmetry is kept."""
+    factors = whole * np.exp(rng.uniform(np.log(LOW_SCALE), np.log(HIGH_SCALE), 3))
     if shape.symmetry in (Symmetry.FOUR, Symmetry.INF):
         factors[1] = factors[0]
     return replace(

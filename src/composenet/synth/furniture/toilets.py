@@ -34,12 +34,12 @@ def _finish(builder: ShapeBuilder, style: str) -> Shape:
     return builder.build("toilet", style, Symmetry.NONE)
 
 
-def _egg(length: float, width: float, power: float, back: float) -> Outline:
+def _egg(length: float, width: float, power: float, back: float, corners: int = 28) -> Outline:
     """Outline of a seat from x = 0 (hinge) to x = length: blunt behind, round in front.
     back: 0 round .. 1 straight sides."""
-    outline = oval(length, width, power, 28)
+    outline = oval(length, width, power, corners)
     rear = outline[:, 0] < 0
-    blunt = oval(length, width, power + 6 * back, 28)
+    blunt = oval(length, width, power + 6 * back, corners)
     outline[rear] = blunt[rear]
     return outline + np.array([length / 2, 0])
 
@@ -265,6 +265,37 @@ def bench(rng: Rng) -> Shape:
     return _finish(builder, "bench")
 
 
+def _tank_section(x: float, deep: float, wide: float) -> Outline:
+    return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (deep / 2, wide / 2) + np.array([x, 0])
+
+
+def faceted(rng: Rng) -> Shape:
+    """Few flat faces: a bowl of six to ten corners, a thick lid, a tank that widens upwards."""
+    builder, body = ShapeBuilder(), ceramic(rng)
+    size = rng.uniform((0.45, 0.38, 0.36), (0.62, 0.5, 0.46))
+    length, width, rim = float(size[0]), float(size[1]), float(size[2])
+    corners = int(rng.choice([6, 8, 10]))
+    seat = _egg(length, width, float(rng.uniform(2.0, 6.0)), float(rng.uniform(0, 1)), corners)
+    builder.add(_bowl(seat, rim, _foot(seat, rim, rng)), body)
+    thick = float(rng.uniform(0.03, 0.07))
+    lid = [seat, seat, _scaled(seat, float(rng.uniform(0.75, 0.95)), 0.85, 0.4)]
+    builder.add(loft_z(lid, [rim - 0.002, rim + 0.6 * thick, rim + thick]), body)
+    gap, deep = float(rng.uniform(0.0, 0.06)), float(rng.uniform(0.18, 0.26))
+    wide, tall = width * float(rng.uniform(0.9, 1.15)), float(rng.uniform(0.28, 0.45))
+    x, low = -gap - deep / 2, rim + float(rng.uniform(-0.05, 0.06))
+    base, top = float(rng.uniform(0.75, 1.0)), low + tall
+    builder.add(loft_z([_tank_section(x, deep * k, wide * k) for k in (base, 1)], [low, top]), body)
+    over = float(rng.uniform(1.03, 1.15))
+    cap = box((over * deep, over * wide, 0.05), (x, 0, top + 0.02))
+    builder.add(cap, body)
+    neck = box((deep + gap + 0.12, 0.4 * width, 0.12), ((0.12 - deep - gap) / 2, 0, low - 0.03))
+    builder.add(neck, body)
+    lever = (x + deep / 2, 0.3 * wide, low + 0.85 * tall)
+    builder.add(box((0.05, 0.08, 0.04), lever), metal(rng))
+    return _finish(builder, "faceted")
+
+
+FURTHER_STYLES: dict[str, dict[str, Callable[[Rng], Shape]]] = {"toilet": {"faceted": faceted}}
 STYLES: dict[str, dict[str, Callable[[Rng], Shape]]] = {
     "toilet": {
         builder.__name__: builder
