@@ -239,7 +239,7 @@ class Looker:
 
 def proposals_of(seen: Sequence[Seen]) -> Proposals:
     return Proposals(
-        center=torch.tensor([[s.x, 0, 0] for s in seen]).reshape(-1, 3),
+        center=torch.tensor([[float(s.x), 0, 0] for s in seen]).reshape(-1, 3),
         extents=torch.tensor([[s.side] * 3 for s in seen]).reshape(-1, 3),
         class_probabilities=torch.full((len(seen), 10), 0.1),
         score=torch.tensor([s.objectness for s in seen]),
@@ -255,7 +255,7 @@ def looked(
     return second_look(Looker(frames), fields, batch, proposals, config)  # type: ignore[arg-type]
 
 
-HALF = DetectionConfig(looks=1, min_score=0.0, duplicate_iou=0.5)
+HALF = DetectionConfig(looks=1, min_score=0.0, duplicate_iou=0.5, voting_iou=1.0)
 
 
 def test_a_second_look_orders_by_quality() -> None:
@@ -354,6 +354,21 @@ def test_of_boxes_that_a_look_brought_together_the_better_is_looked_at_again() -
     one, other = Seen(-2, 0.9, 0.4, 4, move=2), Seen(2.01, 0.5, 0.8, 8, move=-2)
     (found,) = looked([[one, other]], replace(HALF, looks=2))
     assert found.voxels.tolist() == [51]  # looked at once it would be: both, of which one is left
+
+
+def test_a_kept_box_is_the_mean_of_those_that_agree_with_it() -> None:
+    """Unit cubes; that at 0.2 overlaps the best by 2/3, that at 0.5 by 1/3; another class has
+    no say. Extents are averaged alike."""
+    best, near, far = Seen(0, 0.9, 0.8), Seen(0.2, 0.8, 0.4), Seen(0.5, 0.7, 0.4)
+    other = Seen(0.1, 0.6, 0.4, class_id=8)
+    config = DetectionConfig(looks=1, min_score=0.0, voting_iou=0.5)
+    (found,) = looked([[near, far, best, other]], config)
+    np.testing.assert_allclose(found.center[:, 0], [0.2 * 0.4 / 1.2], rtol=1e-5)
+    assert found.score.tolist() == pytest.approx([0.8])
+    (found,) = looked([[near, far, best, other]], replace(config, voting_iou=1.0))
+    assert found.center[:, 0].tolist() == [0]
+    (found,) = looked([[best, replace(near, x=0.02, side=1.1)]], config)  # IoU 0.751
+    np.testing.assert_allclose(found.extents[0], 1 + 0.1 / 3, rtol=1e-5)
 
 
 def test_a_second_look_at_each_frame_for_itself() -> None:

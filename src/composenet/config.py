@@ -84,6 +84,8 @@ class DetectionConfig:
     """a box of less quality is dropped"""
     duplicate_iou: Share = 0.25
     """of two corrected boxes that overlap more than this, the weaker is dropped"""
+    voting_iou: Annotated[float, Field(gt=0, le=1)] = 0.7
+    """a box becomes the mean of those of its class that overlap it by this much; 1: stays itself"""
 
 
 @dataclass(frozen=True, config=_STRICT)

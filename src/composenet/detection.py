@@ -186,7 +186,7 @@ def second_look(
     nearly alike (`ALIKE_IOU`) the first is looked at, then the better. mirror: the mirror image of
     the batch, to be looked at too. score becomes the quality; of two boxes that overlap by
     more than config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture
-    cannot share that much space.
+    cannot share that much space. What is dropped still has a say in where the box is.
     """
     out = []
     for index, p in enumerate(proposals):
@@ -203,16 +203,32 @@ def second_look(
             order = torch.argsort(boxes.quality, descending=True, stable=True)
             center, extents, voxels = boxes.center[order], boxes.extents[order], voxels[order]
         score = boxes.quality[order].sigmoid()
-        kept = torch.nonzero(score >= config.min_score)[:, 0]
-        overlap = pairwise_iou(center[kept], extents[kept], center[kept], extents[kept])
-        kept = kept[_distinct(overlap > config.duplicate_iou).to(kept.device)]
-        out.append(
-            Proposals(
-                center=center[kept],
-                extents=extents[kept],
-                class_probabilities=boxes.class_logits[order[kept]].softmax(dim=1),
-                score=score[kept],
-                voxels=voxels[kept],
-            )
+        sure = score >= config.min_score
+        found = Proposals(
+            center=center[sure],
+            extents=extents[sure],
+            class_probabilities=boxes.class_logits[order[sure]].softmax(dim=1),
+            score=score[sure],
+            voxels=voxels[sure],
         )
+        out.append(_one_a_place(found, config))
     return tuple(out)
+
+
+def _one_a_place(found: Proposals, config: DetectionConfig) -> Proposals:
+    """Of boxes that overlap the strongest, moved to the mean of those of its class that agree with
+    it, weighted by their scores (box voting, Gidaris and Komodakis 2015)."""
+    overlap = pairwise_iou(found.center, found.extents, found.center, found.extents)
+    kept = _distinct(overlap > config.duplicate_iou).to(overlap.device)
+    classes = found.class_probabilities.argmax(dim=1)
+    agrees = (overlap[kept] >= config.voting_iou) & (classes[kept, None] == classes)
+    agrees[torch.arange(len(kept)), kept] = True
+    weight = agrees * found.score
+    weight = weight / weight.sum(dim=1, keepdim=True)
+    return Proposals(
+        center=weight @ found.center,
+        extents=weight @ found.extents,
+        class_probabilities=found.class_probabilities[kept],
+        score=found.score[kept],
+        voxels=found.voxels[kept],
+    )
