@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from composenet.records import CLASS_NAMES, Symmetry
-from composenet.synth.furniture import make_furniture, styles
+from composenet.synth.furniture import FURTHER_STYLES, STYLES, make_furniture, styles
 from composenet.synth.occupancy import occupancy
 from composenet.synth.shape import Shape
 
@@ -112,6 +112,16 @@ def test_vessels_are_hollow(name: str) -> None:
         hull = m3.Manifold.hull_points(shape.vertices.astype(np.float64)).volume()
         volume = occupancy(shape, 48).mean() * np.prod(shape.extents_m)
         assert volume < (0.7 if name == "bathtub" else 0.93) * hull, style
+
+
+def test_the_fixed_splits_have_their_own_styles() -> None:
+    """Only training draws from those that came later."""
+    rng = np.random.default_rng(0)
+    fixed = {make_furniture("desk", rng).style for _ in range(100)}
+    drawn = {make_furniture("desk", rng, further=True).style for _ in range(100)}
+    assert fixed <= set(STYLES["desk"])
+    assert drawn & set(STYLES["desk"]) and drawn & set(FURTHER_STYLES["desk"])
+    assert not set(STYLES["desk"]) & set(FURTHER_STYLES["desk"])
 
 
 def test_unknown_names_are_refused() -> None:

@@ -18,6 +18,7 @@ from composenet.records import (
     Symmetry,
 )
 from composenet.synth import cad, stats
+from composenet.synth.furniture import FURTHER_STYLES
 from composenet.synth.occupancy import occupancy
 from composenet.synth.scene import Scene, SceneOptions, generate_scene, stretched
 from composenet.synth.solid import union_of
@@ -310,3 +311,18 @@ def test_difficulty_by_hand() -> None:
     assert lines["visible fraction under 0.5"].measured == "62.5 %"
     assert lines["two objects of one class"].holds
     assert not lines["tracks of the rarest class"].holds
+
+
+def test_only_training_draws_further_styles() -> None:
+    def drawn(split: str, count: int) -> set[str]:
+        scenes = [generate_scene(split, index) for index in range(count)]
+        return {
+            f"{shape.class_name} {shape.style}"
+            for scene in scenes
+            for shape, gt_id in zip(scene.shapes, scene.gt_ids, strict=True)
+            if gt_id
+        }
+
+    further = {f"{name} {style}" for name, known in FURTHER_STYLES.items() for style in known}
+    assert drawn("train", 10) & further
+    assert not (drawn("val", 5) | drawn("test", 5)) & further
