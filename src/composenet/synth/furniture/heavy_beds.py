@@ -101,11 +101,11 @@ def tiers(rng: Rng) -> Shape:
             size = (0.03, 2 * y, float(rng.uniform(0.1, 0.25)))
             builder.add(box(size, (end, 0, z + plan.thick + 0.08)), body)
     if chance(rng, 0.7):
-        side, left = float(rng.choice([-1, 1])), float(rng.uniform(0.2, 0.5)) * x
+        wall, left = float(rng.choice([-1, 1])), float(rng.uniform(0.2, 0.5)) * x
         for at in (left, left + 0.4):
-            builder.add(box((0.04, 0.04, high - 0.1), (at, side * (y + 0.03), high / 2)), body)
+            builder.add(box((0.04, 0.04, high - 0.1), (at, wall * (y + 0.03), high / 2)), body)
         for rung in np.linspace(0.2, high - 0.25, int(rng.integers(3, 7))):
-            builder.add(box((0.4, 0.04, 0.04), (left + 0.2, side * (y + 0.03), rung)), body)
+            builder.add(box((0.4, 0.04, 0.04), (left + 0.2, wall * (y + 0.03), rung)), body)
     return builder.build("bed", "tiers", Symmetry.NONE)
 
 
