@@ -33,7 +33,6 @@ from conftest import TINY
 CONFIG = DetectionConfig()
 ONE_RADIUS = DetectionConfig(further_radii_voxels=())
 VOXEL_M = 0.05
-ONCE = replace(CONFIG, looks=1)
 
 
 def blobs(seed: int, count: int, spread: float = 1.5, apart: float = 30.0) -> torch.Tensor:
@@ -237,30 +236,29 @@ class Looker:
         )
 
 
-def proposals_of(seen: Sequence[Seen]) -> Proposals:
-    return Proposals(
-        center=torch.tensor([[float(s.x), 0, 0] for s in seen]).reshape(-1, 3),
-        extents=torch.tensor([[s.side] * 3 for s in seen]).reshape(-1, 3),
-        class_probabilities=torch.full((len(seen), 10), 0.1),
-        score=torch.tensor([s.objectness for s in seen]),
-        voxels=torch.arange(len(seen)) + 50,
-    )
-
-
 def looked(
-    frames: Sequence[Sequence[Seen]], config: DetectionConfig = ONCE
+    frames: Sequence[Sequence[Seen]], config: DetectionConfig = CONFIG
 ) -> tuple[Proposals, ...]:
-    proposals = tuple(map(proposals_of, frames))
+    proposals = [
+        Proposals(
+            center=torch.tensor([[s.x, 0, 0] for s in seen]).reshape(-1, 3),
+            extents=torch.tensor([[s.side] * 3 for s in seen]).reshape(-1, 3),
+            class_probabilities=torch.full((len(seen), 10), 0.1),
+            score=torch.tensor([s.objectness for s in seen]),
+            voxels=torch.arange(len(seen)) + 50,
+        )
+        for seen in frames
+    ]
     fields, batch = field_of([], frames=len(frames))
-    return second_look(Looker(frames), fields, batch, proposals, config)  # type: ignore[arg-type]
+    return second_look(Looker(frames), fields, batch, tuple(proposals), config)  # type: ignore[arg-type]
 
 
-HALF = DetectionConfig(looks=1, min_score=0.0, duplicate_iou=0.5, voting_iou=1.0)
+HALF = DetectionConfig(min_score=0.0, duplicate_iou=0.5)
 
 
 def test_a_second_look_orders_by_quality() -> None:
     seen = [Seen(0, 0.9, 0.2), Seen(4, 0.8, 0.9, 8, move=0.1), Seen(8, 0.6, 0.8, 7)]
-    (found,) = looked([seen], DetectionConfig(looks=1, min_score=0.1))
+    (found,) = looked([seen], DetectionConfig(min_score=0.1))
     np.testing.assert_allclose(found.score, [0.9, 0.8, 0.2], rtol=1e-5)
     np.testing.assert_allclose(found.center[:, 0], [4.1, 8, 0])  # corrected
     assert found.class_probabilities.argmax(dim=1).tolist() == [8, 7, 4]
@@ -270,9 +268,9 @@ def test_a_second_look_orders_by_quality() -> None:
 
 def test_a_second_look_drops_the_weak() -> None:
     seen = [Seen(0, 0.9, 0.2), Seen(4, 0.8, 0.9), Seen(8, 0.6, 0.8)]
-    (found,) = looked([seen], DetectionConfig(looks=1, min_score=0.5))
+    (found,) = looked([seen], DetectionConfig(min_score=0.5))
     assert found.center[:, 0].tolist() == [4, 8]
-    (found,) = looked([seen], DetectionConfig(looks=1, min_score=1.0))
+    (found,) = looked([seen], DetectionConfig(min_score=1.0))
     assert found.center.shape == (0, 3) and found.class_probabilities.shape == (0, 10)
 
 
@@ -333,44 +331,6 @@ def test_boxes_nearly_alike_are_looked_at_once() -> None:
     assert len(found.center) == 2
 
 
-def test_each_look_is_at_where_the_look_before_put_the_box() -> None:
-    """Two steps of 1 m, and then the class, quality and move of what is there."""
-    far, near = Seen(0, 0.9, 0.4, 4, move=1), Seen(1, 0.5, 0.8, 8, move=1)
-    fields, batch = field_of([], frames=1)
-    for looks, place, class_id in ((1, 1, 4), (2, 2, 8), (3, 3, 8)):
-        (found,) = second_look(
-            Looker([[far, near]]),  # type: ignore[arg-type]
-            fields,
-            batch,
-            (proposals_of([far]),),
-            replace(CONFIG, looks=looks),
-        )
-        assert found.center[:, 0].tolist() == [place]
-        assert found.class_probabilities.argmax(dim=1).tolist() == [class_id]
-        np.testing.assert_allclose(found.score, near.quality if looks > 1 else far.quality)
-
-
-def test_of_boxes_that_a_look_brought_together_the_better_is_looked_at_again() -> None:
-    one, other = Seen(-2, 0.9, 0.4, 4, move=2), Seen(2.01, 0.5, 0.8, 8, move=-2)
-    (found,) = looked([[one, other]], replace(HALF, looks=2))
-    assert found.voxels.tolist() == [51]  # looked at once it would be: both, of which one is left
-
-
-def test_a_kept_box_is_the_mean_of_those_that_agree_with_it() -> None:
-    """Unit cubes; that at 0.2 overlaps the best by 2/3, that at 0.5 by 1/3; another class has
-    no say. Extents are averaged alike."""
-    best, near, far = Seen(0, 0.9, 0.8), Seen(0.2, 0.8, 0.4), Seen(0.5, 0.7, 0.4)
-    other = Seen(0.1, 0.6, 0.4, class_id=8)
-    config = DetectionConfig(looks=1, min_score=0.0, voting_iou=0.5)
-    (found,) = looked([[near, far, best, other]], config)
-    np.testing.assert_allclose(found.center[:, 0], [0.2 * 0.4 / 1.2], rtol=1e-5)
-    assert found.score.tolist() == pytest.approx([0.8])
-    (found,) = looked([[near, far, best, other]], replace(config, voting_iou=1.0))
-    assert found.center[:, 0].tolist() == [0]
-    (found,) = looked([[best, replace(near, x=0.02, side=1.1)]], config)  # IoU 0.751
-    np.testing.assert_allclose(found.extents[0], 1 + 0.1 / 3, rtol=1e-5)
-
-
 def test_a_second_look_at_each_frame_for_itself() -> None:
     one, other = Seen(0, 0.9, 0.9, 4), Seen(0, 0.8, 0.8, 8)  # the same place
     first, second, third = looked([[one], [], [other]])
@@ -394,9 +354,7 @@ def test_a_second_look_of_the_network_itself() -> None:
     features = torch.randn(len(batch.coords), network.backbone.c_out)
     fields = VoxelFields(**{**vars(fields), "features": features})
     voted = propose(fields, batch, CONFIG)
-    found, none = second_look(
-        network, fields, batch, voted, DetectionConfig(looks=1, min_score=0.0)
-    )
+    found, none = second_look(network, fields, batch, voted, DetectionConfig(min_score=0.0))
     assert len(found.center) == 2 and len(none.center) == 0
     order = [voted[0].voxels.tolist().index(n) for n in found.voxels.tolist()]
     gap = (found.center - voted[0].center[order]).abs() / voted[0].extents[order]

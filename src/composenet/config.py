@@ -78,14 +78,10 @@ class DetectionConfig:
     """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
     max_proposals: Count = 30
     """of each radius"""
-    looks: Count = 2
-    """how often a proposal is looked at, each time where the look before put it"""
     min_score: Share = 0.3
     """a box of less quality is dropped"""
     duplicate_iou: Share = 0.25
     """of two corrected boxes that overlap more than this, the weaker is dropped"""
-    voting_iou: Annotated[float, Field(gt=0, le=1)] = 0.7
-    """a box becomes the mean of those of its class that overlap it by this much; 1: stays itself"""
 
 
 @dataclass(frozen=True, config=_STRICT)

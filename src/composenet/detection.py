@@ -182,53 +182,34 @@ def second_look(
 ) -> tuple[Proposals, ...]:
     """Proposals with corrected boxes and classes, strongest first.
 
-    Each is looked at config.looks times, every time where the look before put it. Of proposals
-    nearly alike (`ALIKE_IOU`) the first is looked at, then the better. mirror: the mirror image of
-    the batch, to be looked at too. score becomes the quality; of two boxes that overlap by
+    mirror: the mirror image of the batch, to be looked at too. Of proposals nearly alike
+    (`ALIKE_IOU`) the first is looked at. score becomes the quality; of two boxes that overlap by
     more than config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture
-    cannot share that much space. What is dropped still has a say in where the box is.
+    cannot share that much space.
     """
     out = []
     for index, p in enumerate(proposals):
-        center, extents, voxels = p.center, p.extents, p.voxels
-        for _ in range(config.looks):
-            extents = extents.clamp(*BOX_LIMITS_M)
-            apart = _distinct(pairwise_iou(center, extents, center, extents) > ALIKE_IOU)
-            apart = apart.to(extents.device)
-            frame = torch.full((len(apart),), index, device=apart.device)
-            seed, extents, voxels = center[apart], extents[apart], voxels[apart]
-            boxes = network.box_fields(fields, batch, seed, extents, frame)
-            if mirror is not None:
-                boxes = mean_boxes(boxes, mirror.box_fields(network, seed, extents, frame))
-            order = torch.argsort(boxes.quality, descending=True, stable=True)
-            center, extents, voxels = boxes.center[order], boxes.extents[order], voxels[order]
-        score = boxes.quality[order].sigmoid()
-        sure = score >= config.min_score
-        found = Proposals(
-            center=center[sure],
-            extents=extents[sure],
-            class_probabilities=boxes.class_logits[order[sure]].softmax(dim=1),
-            score=score[sure],
-            voxels=voxels[sure],
+        extents = p.extents.clamp(*BOX_LIMITS_M)
+        first = _distinct(pairwise_iou(p.center, extents, p.center, extents) > ALIKE_IOU)
+        first = first.to(extents.device)
+        seed, extents, voxels = p.center[first], extents[first], p.voxels[first]
+        frame = torch.full((len(seed),), index, device=seed.device)
+        boxes = network.box_fields(fields, batch, seed, extents, frame)
+        if mirror is not None:
+            boxes = mean_boxes(boxes, mirror.box_fields(network, seed, extents, frame))
+        score = boxes.quality.sigmoid()
+        order = torch.argsort(score, descending=True, stable=True)
+        order = order[score[order] >= config.min_score]
+        center, extents = boxes.center[order], boxes.extents[order]
+        overlap = pairwise_iou(center, extents, center, extents)
+        order = order[_distinct(overlap > config.duplicate_iou).to(order.device)]
+        out.append(
+            Proposals(
+                center=boxes.center[order],
+                extents=boxes.extents[order],
+                class_probabilities=boxes.class_logits[order].softmax(dim=1),
+                score=score[order],
+                voxels=voxels[order],
+            )
         )
-        out.append(_one_a_place(found, config))
     return tuple(out)
-
-
-def _one_a_place(found: Proposals, config: DetectionConfig) -> Proposals:
-    """Of boxes that overlap the strongest, moved to the mean of those of its class that agree with
-    it, weighted by their scores (box voting, Gidaris and Komodakis 2015)."""
-    overlap = pairwise_iou(found.center, found.extents, found.center, found.extents)
-    kept = _distinct(overlap > config.duplicate_iou).to(overlap.device)
-    classes = found.class_probabilities.argmax(dim=1)
-    agrees = (overlap[kept] >= config.voting_iou) & (classes[kept, None] == classes)
-    agrees[torch.arange(len(kept)), kept] = True
-    weight = agrees * found.score
-    weight = weight / weight.sum(dim=1, keepdim=True)
-    return Proposals(
-        center=weight @ found.center,
-        extents=weight @ found.extents,
-        class_probabilities=found.class_probabilities[kept],
-        score=found.score[kept],
-        voxels=found.voxels[kept],
-    )

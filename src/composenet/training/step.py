@@ -83,8 +83,8 @@ class LossModule(nn.Module):
         self, fields: VoxelFields, batch: TrainingBatch, generator: torch.Generator
     ) -> tuple[Proposals, ...]:
         """What the detector finds with one of its radii (those of all are too alike to be worth
-        their time), and what one or more looks make of it: in tracking that is where it looks
-        again (see `DetectionConfig.looks`, `detection.remembered`)."""
+        their time), and what the second look makes of it: in tracking that is where it looks
+        again (see `detection.remembered`)."""
         detection = self.config.model.detection
         radii = (detection.mean_shift_radius_voxels, *detection.further_radii_voxels)
         radius = radii[int(torch.randint(len(radii), (), generator=generator))]
@@ -94,10 +94,7 @@ class LossModule(nn.Module):
         found = propose(fields, batch.volume, one)
         if not detection.use_tracks:
             return found
-        looks = 1 + int(torch.randint(detection.looks, (), generator=generator))
-        again = second_look(
-            self.network, fields, batch.volume, found, dataclasses.replace(detection, looks=looks)
-        )
+        again = second_look(self.network, fields, batch.volume, found, detection)
         return tuple(a + b for a, b in zip(found, again, strict=True))
 
 
