@@ -16,7 +16,7 @@ from typing import Any
 import tyro
 from safetensors import safe_open
 
-from composenet.commands.scoring import VARIANTS
+from composenet.commands.scoring import WAYS
 from composenet.network.weights import default_weights, load_weights, weights_id
 from composenet.records import CLASS_NAMES
 
@@ -92,10 +92,10 @@ def _overall(runs: Mapping[str, Any]) -> list[str]:
     if not runs:
         return ["Nothing was measured with these weights yet."]
     rows = [
-        (f"{run['data']}, {variant}{_offline(run)}", *(_number(values[key]) for key in COLUMNS))
+        (f"{run['data']}, {variant}", *(_number(values[key]) for key in COLUMNS))
         for run in runs.values()
         for variant, values in run["variants"].items()
-        if variant in VARIANTS  # and not a comparison system
+        if variant in WAYS  # and not a comparison system
     ]
     origin = [
         f"- `{name}`: commit {run['commit']}, {run['date']}, seed {run['seed']}, "
@@ -109,7 +109,7 @@ def _by_class(runs: Mapping[str, Any]) -> list[str]:
     rows, worst = [], []
     for run in runs.values():
         values = run["variants"].get("full", {})
-        where = f"{run['data']}{_offline(run)}"
+        where = run["data"]
         for key, name in BY_CLASS.items():
             if key in values:
                 shown = (_number(values[key][c]) for c in CLASS_NAMES)
@@ -144,10 +144,6 @@ def _pictures(runs: Mapping[str, Any], identity: str) -> list[str]:
                 "(images/mota_completion.png)",
             ]
     return []
-
-
-def _offline(run: Mapping[str, Any]) -> str:
-    return ", looking back" if "--offline" in run["command"] else ""
 
 
 def _number(value: float | None) -> str:

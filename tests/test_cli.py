@@ -277,8 +277,25 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     assert asked[1:] == [(name, ("no-compl", "no-corr")) for name in ("val_00000", "val_00001")]
     assert numbers(one)["full"] == alone
     together = tmp_path / "together"
-    assert run(*common, "--out", together, "--variants", "no-corr,full,no-compl") == 0
+    assert run(*common, "--out", together, "--variants", "no-corr,offline,full,no-compl") == 0
     assert {k: numbers(together)[k] for k in numbers(one)} == numbers(one)
+    assert numbers(together)["offline"] != alone
+
+
+def test_looking_back_is_scored_as_it_is_written(
+    run, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    scores, written = tmp_path / "scores", tmp_path / "written"
+    common, tracks = ["eval", "--data", recordings], tmp_path / "tracks"
+    assert run(*common, "--out", scores, "--weights", tiny_weights, "--variants", "offline") == 0
+    for name in ("val_00000", "val_00001"):
+        options = ["--weights", tiny_weights, "--offline", "--out", tracks / name]
+        assert run("track", recordings / name, *options) == 0
+    assert run(*common, "--out", written, "--predictions", tracks) == 0
+    ours, theirs = numbers(scores)["offline"], numbers(written)["predictions"]
+    keys = ("mota_mean", "mota_pooled", "mota_per_class", "id_switches", "idf1", "hota")
+    assert [ours[key] for key in keys] == [theirs[key] for key in keys]
+    assert ours["mota_pooled"] != 0
 
 
 def test_one_bad_sequence_does_not_stop_the_others(

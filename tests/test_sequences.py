@@ -122,6 +122,19 @@ def test_iterates_as_often_as_wanted(plain):
     assert [f.name for f in sequence] == [f.name for f in sequence]
 
 
+def test_backwards_the_frames_are_the_same(plain):
+    sequence = open_sequence(plain)
+    there, back = list(sequence), list(reversed(sequence))
+    assert len(there) == COUNT
+    for one, other in zip(there, back[::-1], strict=True):
+        assert (one.index, one.name) == (other.index, other.name)
+        np.testing.assert_array_equal(one.depth_m, other.depth_m)
+        np.testing.assert_array_equal(one.T_world_camera, other.T_world_camera)
+    shutil.rmtree(plain / "pose")
+    with pytest.raises(SequenceError, match="in order only"):
+        reversed(open_sequence(plain))
+
+
 def test_names_sort_as_numbers(tmp_path):
     names = [frame.name for frame in open_sequence(write_scannet(tmp_path / "s", 12))]
     assert names == [str(i) for i in range(12)]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import shutil
+import signal
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +29,9 @@ class Watched:
     """A tracker of a network that has learned nothing; before each frame, counted from 1,
     something is done."""
 
-    def __init__(self, weights: Path, before: Callable[[int], None]) -> None:
-        self._tracker, self._before, self._count = load_tracker(weights, device="cpu"), before, 0
+    def __init__(self, weights: Path, before: Callable[[int], None], **tracking: Any) -> None:
+        self._tracker = load_tracker(weights, device="cpu", **tracking)
+        self._before, self._count = before, 0
 
     def __call__(self, frame: Frame) -> FrameResult:
         self._count += 1
@@ -150,6 +153,41 @@ def test_a_configuration_can_be_passed_back_in(
     assert program(monkeypatch, *options, "--config", changed, "--out", again) == 0
     tracking = configuration.load(str(again / "config.json")).tracking
     assert tracking.lost_decay == 0.7 and tracking.offline and not tracking.use_completion
+
+
+def test_a_recording_looked_back_on_is_seen_twice(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    sequence, seen = open_sequence(recordings / "val_00000"), []
+    tracker = Watched(tiny_weights, seen.append, offline=True)
+    run = track_recording(sequence, tracker, tmp_path, Console(file=io.StringIO()))  # type: ignore[arg-type]
+    assert seen == [*range(1, 2 * len(run.frames) + 1)] and run.complete
+    assert [frame.index for frame in run.frames] == [frame.index for frame in sequence]
+
+
+@pytest.mark.parametrize("ctrl_c", [True, False])
+def test_what_stops_on_the_way_back_leaves_the_way_there(
+    recordings: Path, tiny_weights: Path, tmp_path: Path, ctrl_c: bool
+) -> None:
+    sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
+    there = load_tracker(tiny_weights, device="cpu", offline=True)
+    for frame in sequence:
+        there(frame)
+
+    def stop(count: int) -> None:
+        if count == len(sequence) + 2:
+            if not ctrl_c:
+                raise torch.OutOfMemoryError("CUDA out of memory")
+            signal.raise_signal(signal.SIGINT)
+
+    tracker = Watched(tiny_weights, stop, offline=True)
+    with nullcontext() if ctrl_c else pytest.raises(DeviceError):
+        track_recording(sequence, tracker, tmp_path, console)  # type: ignore[arg-type]
+    kept = read_predictions(tmp_path)
+    assert not kept.complete and len(kept.frames) == len(sequence)
+    expected = [(track.track_id, len(track.history)) for track in there.tracks()]
+    assert expected
+    assert [(track.track_id, len(track.history)) for track in kept.tracks] == expected
 
 
 @pytest.mark.parametrize(

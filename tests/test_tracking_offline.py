@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from composenet.config import TrackingConfig
 from composenet.records import Track, TrackedObject, TrackState
-from composenet.tracking.offline import link_offline, look_back, settle
+from composenet.tracking.offline import in_order_of_time, link_offline, look_back, settle
 from tracking_scenes import CHAIR, TABLE, block, thing
 
 CONFIG = TrackingConfig()
@@ -144,6 +144,28 @@ def test_the_likest_pair_is_linked():
 def test_without_correspondences_nothing_is_linked():
     tracks = (track(1, "TTLL"), track(2, "..TT"))
     assert link_offline(tracks, replace(CONFIG, use_correspondences=False)) == tracks
+
+
+@pytest.mark.parametrize(
+    ("looked_at_backwards", "told"),
+    [
+        ("TTTT", "TTTT"),
+        ("OOTLLRTT", "TTTLLROO"),  # in both, the last two frames do not show it
+        ("TTRLE", "..TTT"),  # gone in the two earliest frames: not yet seen
+        ("RLT", "TLR"),
+        ("OO", ""),
+    ],
+)
+def test_a_track_looked_at_backwards_reads_forwards(looked_at_backwards, told):
+    found = track(1, looked_at_backwards)
+    last = len(found.history) - 1
+    turned = tuple(replace(e, frame_index=last - e.frame_index) for e in found.history)
+    read = in_order_of_time(replace(found, history=turned))
+    assert letters(read) if told else not read.history
+    if told:
+        assert letters(read) == told
+    boxes = {e.frame_index: e.box for e in turned}
+    assert all(entry.box is boxes[entry.frame_index] for entry in read.history)
 
 
 def test_hindsight_keeps_what_was_sure_on_the_whole():

@@ -272,6 +272,35 @@ def test_a_track_is_told_of_while_it_is_sure(scores, told, in_hindsight):
     assert whole == [[*range(len(scores))]] * in_hindsight
 
 
+def test_looked_at_twice_everything_is_known_from_the_start():
+    """A chair found in the third of five frames keeps its id on the way back and is told of in all
+    of them, also in the first two, in which it was too faint to be found."""
+    shown = [[thing(3, 0, score=score)] for score in (0.4, 0.4, 0.6, 0.9, 0.7)]
+    shown[-1].append(thing(3, 1.5, class_id=TABLE))
+    tracker, outputs = run([(None, estimates) for estimates in shown])
+    assert ids_seen(outputs[0]) == [] and ids_seen(outputs[-1]) == [1, 2]
+    tracker.turn_back()
+    for index in reversed(range(5)):
+        tracker.update(frame(index, [e.box for e in shown[index]]), shown[index])
+    chairs, tables = tracker.tracks()
+    assert [e.frame_index for e in chairs.history] == [0, 1, 2, 3, 4] and chairs.track_id == 1
+    assert {e.state for e in chairs.history} == {T}
+    assert [e.frame_index for e in tables.history] == [4]  # never seen before
+    assert [t.track_id for t in tracker.hindsight()] == [1, 2]
+
+
+def test_twice_is_enough_and_backwards_means_backwards():
+    tracker, _ = run([SEEN, SEEN, SEEN])
+    tracker.turn_back()
+    with pytest.raises(SequenceError, match="twice at most"):
+        tracker.turn_back()
+    for index in (2, 1):
+        tracker.update(frame(index), [])
+    for index in (1, 2):
+        with pytest.raises(SequenceError, match="backwards"):
+            tracker.update(frame(index), [])
+
+
 def test_a_sure_track_is_told_of_while_it_is_unseen():
     _, outputs = run([SEEN, SEEN, (HIDE, []), (HIDE, []), (frame(0), [])], TrackingConfig())
     assert [len(out) for out in outputs] == [1] * 5

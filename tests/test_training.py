@@ -157,6 +157,20 @@ def test_short_sequences_give_what_they_have(recordings: Path) -> None:
     assert len(list(samples_of_scene(disk_scene(recordings, 0), many, rng))) == 6
 
 
+def test_walks_start_with_nothing_remembered_or_see_everything_or_come_back() -> None:
+    rng = np.random.default_rng(0)
+    walks = [data.walk(30, 6, rng) for _ in range(400)]
+    steps = [np.diff(times) for times in walks]
+    assert all(min(times) >= 0 and max(times) < 30 for times in walks)
+    assert all(len(set(np.abs(step))) == 1 and abs(step[0]) <= data.LONGEST_STEP for step in steps)
+    short = [len(times) == 8 for times in walks]
+    back = [bool((step < 0).any()) for step in steps]
+    assert 0.3 < np.mean(short) < 0.5 and 0.2 < np.mean(back) < 0.4
+    for times, returns in zip(walks, back, strict=True):
+        if returns:  # to where it began, and nothing twice in a row
+            assert times == times[::-1] and len(times) == 2 * len(set(times)) - 1
+
+
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:
     whole = disk_scene(recordings, 0).render(0)
     view, _ = crop_view(whole.frame, whole.ids, np.random.default_rng(0))

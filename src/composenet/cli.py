@@ -133,7 +133,8 @@ class TrackCommand:
     variant: Variant = "full"
     """the paper's ablations: without completion, without correspondences, or both"""
     offline: bool = False
-    """link tracks over the whole recording at the end (looks into the future)"""
+    """look at the recording once more, backwards, and link tracks over the whole of it: every frame
+    is then seen with what later ones showed (twice the time)"""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(
         default_factory=SequenceOptions
     )
@@ -166,15 +167,14 @@ class Eval:
     out: Path
     """folder for results.json and results.md; finished sequences are kept there"""
     variants: str = "full"
-    """comma-separated: full, no-compl, no-corr, no-corr-no-compl"""
+    """comma-separated: full, no-compl, no-corr, no-corr-no-compl, and offline: the full system as
+    `track --offline` runs it, whose frames see into the future"""
     predictions: Path | None = None
     """score these result folders of `track` instead of tracking"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
-    offline: bool = False
-    """with the offline second pass (looks into the future)"""
     workers: Count = 1
     """processes"""
     seed: int = 0

@@ -130,8 +130,8 @@ class TrackingConfig:
     end_after_visible_misses: Count = 30
     """a track unseen for this many frames in which it should have been visible has ended"""
     offline: bool = False
-    """look back from the end of the recording: the paper's second pass, and what the whole of a
-    track says of each of its frames"""
+    """look back from the end of the recording: at every frame once more, with what is remembered of
+    all others, and over all tracks in the paper's second pass"""
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -93,6 +93,11 @@ class OutputWriter:
             self.save()
             self._replay.close()
 
+    @property
+    def frames_taken(self) -> int:
+        """How many frames it was given."""
+        return len(self._frames)
+
     def warn(self, text: str) -> None:
         """Add one line to the warnings of the report and of tracks.json."""
         if text not in self._warnings:

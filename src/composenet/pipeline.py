@@ -123,6 +123,18 @@ class ObjectTracker:
             sight.looked_at[asked] = estimates, clock.milliseconds
         return sight.looked_at[asked]
 
+    @property
+    def looks_twice(self) -> bool:
+        """Whether `turn_back` is wanted: looking back on a recording of which it remembers more
+        than one frame."""
+        return self.config.tracking.offline and self.config.volume.memory_frames > 0
+
+    def turn_back(self) -> None:
+        """After the last frame: the recording is looked at once more, from its end to its start,
+        with all that it showed. Give the frames again in reverse; what is then said of a frame, and
+        `tracks`, takes the place of what was said before. Raises SequenceError the second time."""
+        self._tracker.turn_back()
+
     def tracks(self) -> tuple[Track, ...]:
         """All identities so far: as they were told of, or with tracking.offline as the whole
         recording shows them."""

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from composenet.commands.jobs import aggregated, failure_lines, guarded, run_jobs
 from composenet.commands.scoring import (
-    VARIANTS,
+    WAYS,
     ScoredSequence,
     moved_truth,
     score_tracks,
@@ -34,7 +34,6 @@ def run_eval(
     predictions: Path | None,
     weights: Path | None,
     device: str,
-    offline: bool,
     workers: int,
     seed: int,
 ) -> int:
@@ -44,9 +43,9 @@ def run_eval(
     from composenet.network.weights import default_weights, weights_id
 
     folders = sequence_folders(data)
-    unknown = sorted(set(variants) - set(VARIANTS))
+    unknown = sorted(set(variants) - set(WAYS))
     if unknown:
-        raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(VARIANTS)}")
+        raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(WAYS)}")
     out.mkdir(parents=True, exist_ok=True)
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
@@ -56,8 +55,8 @@ def run_eval(
 
         weights = weights or default_weights()
         load_tracker(weights, device=device)  # what is wrong with them is said once
-        cache = variant_cache(out, weights, device, offline)
-        work = partial(score_variants, weights=weights, device=device, offline=offline)
+        cache = variant_cache(out, weights, device)
+        work = partial(score_variants, weights=weights, device=device)
         names = list(dict.fromkeys(variants))
         outcomes = run_jobs(names, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)

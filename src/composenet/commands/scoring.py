@@ -33,6 +33,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 """The paper's table 1."""
 
+WAYS: dict[str, dict[str, Any]] = {**VARIANTS, "offline": {"offline": True}}
+"""The variants, which see nothing to come, and the full system looking back."""
+
 
 @dataclass(frozen=True)
 class ScoredSequence:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,8 +20,8 @@ from composenet.predictions import PredictedSequence
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
 if TYPE_CHECKING:
-    from composenet.output import OutputWriter
-    from composenet.pipeline import ObjectTracker
+    from composenet.pipeline import FrameResult, ObjectTracker
+    from composenet.records import Frame
 
 INTERRUPTED_EXIT_CODE = 130
 
@@ -35,9 +35,10 @@ def track_recording(
     save_every: int = 50,
     weights_id: str = "",
 ) -> PredictedSequence:
-    """Track every frame and write the result folder; ctrl-C keeps what is done. Warnings are said
-    as soon as they are known. Raises DeviceError where the device gives up, and then keeps what is
-    done, too."""
+    """Track every frame and write the result folder; ctrl-C keeps what is done. A tracker that
+    looks twice (tracking.offline) sees a recording with poses once more, backwards. Warnings are
+    said as soon as they are known. Raises DeviceError where the device gives up, and then keeps
+    what is done, too."""
     from composenet.metrics.report import source_commit
     from composenet.output import OutputWriter
 
@@ -55,9 +56,23 @@ def track_recording(
         warn(console, line)
     with writer, _interruptible() as stop, progress_bar(console) as progress:
         writer.warn_of_recording(told)
-        failure = _track_frames(sequence, tracker, writer, progress, stop)
+        name, count = sequence.name, len(sequence)
+
+        def write(frame: Frame, result: FrameResult) -> None:
+            writer.add_frame(frame, result.objects, result.timings_ms)
+
+        failure = _track_frames(name, iter(sequence), count, tracker, write, progress, stop)
+        if failure is not None and not writer.frames_taken:
+            raise failure
+        tracks = tracker.tracks()
+        if tracker.looks_twice and sequence.has_poses and not stop and failure is None:
+            tracker.turn_back()
+            back, again = reversed(sequence), f"{name}, backwards"
+            failure = _track_frames(again, back, count, tracker, _leave, progress, stop)
+            tracks = tracks if stop or failure else tracker.tracks()
+        progress.update(progress.task_ids[-1], note="writing meshes and report")
         writer.warn_of_recording(sequence.warnings)
-        run = writer.finish(tracker.tracks(), complete=not stop and failure is None)
+        run = writer.finish(tracks, complete=not stop and failure is None)
     for line in run.warnings:
         if line not in told:
             warn(console, line)
@@ -67,32 +82,35 @@ def track_recording(
     return run
 
 
+def _leave(*_: object) -> None:
+    """What is said of a frame on the way back is in `tracks` at the end."""
+
+
 def _track_frames(
-    sequence: RecordedSequence,
+    title: str,
+    frames: Iterator[Frame],
+    count: int,
     tracker: ObjectTracker,
-    writer: OutputWriter,
+    take: Callable[[Frame, FrameResult], None],
     progress: Progress,
     stop: list[bool],
 ) -> DeviceError | None:
-    """Every frame, until there is something in `stop` or the device gives up; why it does. Raises
-    that where nothing is done yet."""
-    task = progress.add_task(sequence.name, total=len(sequence), note="")
+    """`take` what is said of every frame, until there is something in `stop` or the device gives
+    up; why it does."""
+    task = progress.add_task(title, total=count, note="")
     seconds = 0.0
-    for done, frame in enumerate(sequence, start=1):
+    for done, frame in enumerate(frames, start=1):
         try:
             with device_errors(frame.name):
                 result = tracker(frame)
         except DeviceError as error:
-            if done == 1:
-                raise
             return error
-        writer.add_frame(frame, result.objects, result.timings_ms)
+        take(frame, result)
         seconds += sum(result.timings_ms.values()) / 1e3
         note = f"{len(result.objects)} objects, {done / max(seconds, 1e-9):.1f} frames/s"
         progress.update(task, advance=1, note=note)
         if stop:
             break
-    progress.update(task, note="writing meshes and report")
     return None
 
 

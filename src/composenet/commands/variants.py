@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from composenet.commands.score_cache import ScoreCache
-from composenet.commands.scoring import VARIANTS, ScoredSequence, moved_truth, score_tracks
-from composenet.pipeline import FrameResult, load_tracker
-from composenet.records import Frame, SequenceTruth, Track
+from composenet.commands.scoring import WAYS, ScoredSequence, moved_truth, score_tracks
+from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
+from composenet.records import Frame, SequenceTruth
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 
 
 def score_variants(
-    folder: Path, variants: Sequence[str], *, weights: Path, device: str, offline: bool = False
+    folder: Path, variants: Sequence[str], *, weights: Path, device: str
 ) -> dict[str, ScoredSequence]:
     """Track one sequence with several variants, which share what they see alike, and score each.
     Ground truth is read by the scorer only.
@@ -27,18 +27,29 @@ def score_variants(
     import torch
 
     torch.set_num_threads(1)
-    eyes = load_tracker(weights, device=device, offline=offline)
-    trackers = {variant: eyes.restart(**VARIANTS[variant]) for variant in variants}
+    eyes = load_tracker(weights, device=device)
+    trackers = {variant: eyes.restart(**WAYS[variant]) for variant in variants}
     results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
     sequence = open_sequence(folder)
     frames = list(sequence)
-    for frame in frames:
-        sight = eyes.look(frame)
-        for variant, tracker in trackers.items():
-            results[variant][frame.index] = tracker.follow(sight)
+    seconds = {variant: np.zeros(len(frames)) for variant in variants}
+
+    def follow(place: int, followers: Mapping[str, ObjectTracker]) -> None:
+        sight = eyes.look(frames[place])
+        for variant, tracker in followers.items():
+            result = results[variant][frames[place].index] = tracker.follow(sight)
+            seconds[variant][place] += sum(result.timings_ms.values()) / 1e3
+
+    for place in range(len(frames)):
+        follow(place, trackers)
+    if twice := {variant: tracker for variant, tracker in trackers.items() if tracker.looks_twice}:
+        for tracker in twice.values():
+            tracker.turn_back()
+        for place in reversed(range(len(frames))):
+            follow(place, twice)
     truth = moved_truth(read_truth(folder), sequence.T_level_source)
     return {
-        variant: _score(truth, frames, results[variant], tracker.tracks(), offline)
+        variant: _score(truth, frames, tracker, results[variant], seconds[variant].tolist())
         for variant, tracker in trackers.items()
     }
 
@@ -46,14 +57,14 @@ def score_variants(
 def _score(
     truth: SequenceTruth,
     frames: Sequence[Frame],
+    tracker: ObjectTracker,
     results: Mapping[int, FrameResult],
-    tracks: Sequence[Track],
-    offline: bool,
+    seconds: Sequence[float],
 ) -> ScoredSequence:
     """One variant over one sequence; results by frame index."""
-    seconds = [sum(result.timings_ms.values()) / 1e3 for result in results.values()]
     tracked = {index: result.objects for index, result in results.items()}
-    if offline:
+    tracks = tracker.tracks()
+    if tracker.config.tracking.offline:
         histories = [entry for track in tracks for entry in track.history]
         tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
@@ -69,6 +80,6 @@ def _score(
     )
 
 
-def variant_cache(out: Path, weights: Path, device: str, offline: bool = False) -> ScoreCache:
+def variant_cache(out: Path, weights: Path, device: str) -> ScoreCache:
     """Where the variants' scores are kept."""
-    return ScoreCache(out / "sequences", [__name__], weights, device, offline)
+    return ScoreCache(out / "sequences", [__name__], weights, device)

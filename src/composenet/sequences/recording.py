@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -71,9 +71,19 @@ class RecordedSequence:
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order. Raises SequenceError when not one of them could be read."""
+        return self._read(self._frames)
+
+    def __reversed__(self) -> Iterator[Frame]:
+        """The same frames from the last to the first. Raises SequenceError as above, and for a
+        recording without poses, whose frames are levelled one after the other."""
+        if not self.has_poses:
+            raise SequenceError(f"{self._source.path}: without poses frames come in order only")
+        return self._read(self._frames[::-1])
+
+    def _read(self, entries: Sequence[SourceFrame]) -> Iterator[Frame]:
         leveler = self._camera_leveler
         found = False
-        for entry in self._frames:
+        for entry in entries:
             try:
                 depth_m = self._read_depth_m(entry)
             except SequenceError as error:

@@ -78,7 +78,7 @@ def match_shapes(
     alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
     nearness = _nearness(
         center_distance_m(boxes, other_boxes),
-        np.array([frame_index - t.last_seen for t in tracklets]),
+        np.array([abs(frame_index - t.last_seen) for t in tracklets]),
         config,
     )
     still_there = np.array([view.still_there for view in views], dtype=bool)

@@ -30,6 +30,20 @@ def _mean_confidence(track: Track) -> float:
     return float(np.mean([entry.confidence for entry in track.history if entry.observed]))
 
 
+def in_order_of_time(track: Track) -> Track:
+    """A track whose frames were looked at backwards, earliest first, from the first frame on that
+    shows it. Re-found: seen after a frame in which it was not."""
+    entries = _by_frame(track.history)
+    first = next((i for i, entry in enumerate(entries) if entry.observed), len(entries))
+    history: list[TrackedObject] = []
+    for entry in entries[first:]:
+        if entry.observed:
+            absent = bool(history) and not history[-1].observed
+            entry = replace(entry, state=TrackState.RE_FOUND if absent else TrackState.TRACKED)
+        history.append(entry)
+    return replace(track, history=tuple(history))
+
+
 def settle(track: Track, config: TrackingConfig) -> Track:
     """The track with its final class in every frame, and over each span in which it stands still
     (see `stands_still`) the span's mean box, weighted by confidence. Unseen entries stay with the

@@ -9,7 +9,7 @@ from composenet.config import TrackingConfig, VolumeConfig
 from composenet.errors import SequenceError
 from composenet.records import Box, Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
-from composenet.tracking.offline import look_back
+from composenet.tracking.offline import in_order_of_time, look_back
 from composenet.tracking.tracklet import Tracklet
 from composenet.tracking.visibility import Visibility, surface_in_world, visibility
 
@@ -31,6 +31,7 @@ class Tracker:
         self._max_depth_m = max_depth_m
         self._tracklets: list[Tracklet] = []
         self._last_index: int | None = None
+        self._turned = False
 
     def update(
         self, frame: Frame, estimates: Sequence[ObjectEstimate]
@@ -40,7 +41,7 @@ class Tracker:
         appear.
 
         The order of the estimates does not matter. Raises SequenceError for a frame whose
-        index is not larger than the one before.
+        index is not larger than the one before, after `turn_back` for one that is not smaller.
         """
         self._advance(frame.index)
         strong = [e for e in estimates if e.score >= self._config.min_score]
@@ -72,19 +73,39 @@ class Tracker:
         """The last boxes of all living tracks, told of or not, world frame."""
         return tuple(t.box for t in self._tracklets if t.alive)
 
+    def turn_back(self) -> None:
+        """The frames come once more, from the last one back to the first: the tracks are those
+        that are alive, and tell of these frames alone. Raises SequenceError the second time."""
+        if self._turned:
+            raise SequenceError("turn_back: frames are looked at twice at most; this tracker has")
+        self._turned = True
+        if self._last_index is not None:
+            self._last_index += 1
+        for tracklet in self._tracklets:
+            tracklet.turn_back()
+
     def tracks(self) -> tuple[Track, ...]:
         """All tracks so far, as they were told of, ended ones included, by id."""
-        tracks = [t.track() for t in self._tracklets]
-        return tuple(track for track in tracks if track.history)
+        return self._in_order([t.track() for t in self._tracklets])
 
     def hindsight(self) -> tuple[Track, ...]:
         """All tracks from their birth on, told of or not, as the whole recording shows them."""
-        return look_back([t.whole_track() for t in self._tracklets], self._config)
+        tracks = self._in_order([t.whole_track() for t in self._tracklets])
+        return look_back(tracks, self._config)
+
+    def _in_order(self, tracks: Sequence[Track]) -> tuple[Track, ...]:
+        """Those that have a history, with the earliest frame first."""
+        told = [track for track in tracks if track.history]
+        if not self._turned:
+            return tuple(told)
+        turned = [in_order_of_time(track) for track in told]
+        return tuple(track for track in turned if track.history)
 
     def _advance(self, index: int) -> None:
-        if self._last_index is not None and index <= self._last_index:
+        last, order = self._last_index, "backwards, once" if self._turned else "in order, once"
+        if last is not None and (index >= last if self._turned else index <= last):
             raise SequenceError(
-                f"frame {index} came after frame {self._last_index}: give frames in order, once, "
+                f"frame {index} came after frame {last}: give frames {order}, "
                 "and another recording to another tracker (`tracker.restart()`)"
             )
         self._last_index = index

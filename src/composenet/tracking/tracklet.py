@@ -131,6 +131,11 @@ class Tracklet:
         """Everything since its birth, told of or not."""
         return Track(self.track_id, self.class_id, tuple(self._history), self.model.mean)
 
+    def turn_back(self) -> None:
+        """The recording is looked at again from its end: it stays what it is, its history begins
+        anew."""
+        self._history, self._told_of = [], []
+
     def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
         """Pose, extents and canonical model. An estimate whose pose is not observable says
         where the object is, not how it is turned or shaped."""

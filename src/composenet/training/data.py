@@ -29,7 +29,9 @@ from composenet.volume.voxels import voxelize
 LONGEST_STEP = 4
 """Frames between one look and the next, at most."""
 SKIPPED = 2
-"""Frames of a scene that are looked at and remembered, but no sample."""
+"""Frames of a short walk that are looked at and remembered, but no sample."""
+LONG_WALKS = 0.6
+"""Share of the scenes that are walked from end to end, half of them there and back."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -55,16 +57,13 @@ class SceneSource:
 def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
-    """At most frames_per_scene samples in order of time, every one with what the frames before it
-    saw, from a random time on and in random steps; each with a slightly wrong floor height."""
-    length = config.frames_per_scene + SKIPPED
-    step = int(rng.integers(1, max(1, min(LONGEST_STEP, scene.n_frames // length)) + 1))
-    start = int(rng.integers(0, max(1, scene.n_frames - step * (length - 1))))
-    times = range(start, scene.n_frames, step)[:length]
+    """At most frames_per_scene samples of a walk through the scene, every one with what the frames
+    before it on the walk saw; each with a slightly wrong floor height."""
+    times = walk(scene.n_frames, config.frames_per_scene, rng)
     count = min(config.frames_per_scene, len(times))
-    taken = set(rng.choice(times, count, replace=False).tolist())
+    taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
-    for i in times:
+    for place, i in enumerate(times):
         rendered = scene.render(i, color=False)
         truth = scene.frame_truth(i, rendered.ids)
         frame, ids = rendered.frame, rendered.ids
@@ -73,7 +72,7 @@ def samples_of_scene(
             if rng.random() < 0.3:
                 frame, ids = crop_view(frame, ids, rng)
         volume = voxelize(frame, config.model.volume, ids, memory)
-        if volume is None or i not in taken:
+        if volume is None or place not in taken:
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)
@@ -82,6 +81,21 @@ def samples_of_scene(
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
         yield make_sample(volume, truths, seen)
+
+
+def walk(n_frames: int, n_samples: int, rng: np.random.Generator) -> list[int]:
+    """Frames of a recording in the order in which they are looked at, in steps of random length:
+    a few from a random one on, where little is remembered yet, or nearly all, where it is much,
+    or nearly all and then back, as when the recording is looked at twice."""
+    length = n_samples + SKIPPED
+    if rng.random() >= LONG_WALKS:
+        step = int(rng.integers(1, max(1, min(LONGEST_STEP, n_frames // length)) + 1))
+        start = int(rng.integers(0, max(1, n_frames - step * (length - 1))))
+        return list(range(start, n_frames, step)[:length])
+    back = rng.random() < 0.5
+    step = int(rng.integers(1, 3)) + back
+    there = list(range(int(rng.integers(0, step)), n_frames, step))
+    return there + there[-2::-1] if back else there
 
 
 def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:

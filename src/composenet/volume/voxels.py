@@ -191,8 +191,8 @@ def _accumulate(points, normals, valid, ids, low, size, shape):
 def _bounds(points: NDArray[np.floating], size: float) -> tuple[NDArray, tuple[int, int, int]]:
     """Lowest corner (a multiple of the voxel size) and shape (multiples of 16), two voxels of
     margin; heights kept between 1 m under the floor and 3.2 m."""
-    low = points.min(axis=0) - 2 * size
-    high = points.max(axis=0) + 2 * size
+    low, high = _span(points)
+    low, high = low - 2 * size, high + 2 * size
     low[2], high[2] = max(low[2], -1.0), min(max(high[2], 0.5), 3.2)
     low = np.floor(low / size) * size
     cells = np.ceil((high - low) / size).astype(int) + 1
@@ -271,13 +271,21 @@ def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> 
     return (np.hstack([ones, mean, old.normals]) * old.counts[:, None]).astype(np.float32)
 
 
+def _span(points: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """(3,) lowest and highest coordinates of (M, 3) points; by columns, many times faster."""
+    columns = list(points.T)
+    low, high = [c.min() for c in columns], [c.max() for c in columns]
+    return np.array(low), np.array(high)
+
+
 def _near(
     old_points: NDArray[np.float64], seen: NDArray[np.float32], reach_m: float
 ) -> NDArray[np.bool_]:
     """(M,) bool: within reach of the bounds of what is seen, and in the grid's heights."""
-    low, high = seen.min(axis=0) - reach_m, seen.max(axis=0) + reach_m
+    low, high = _span(seen)
+    low, high = low - reach_m, high + reach_m
     low[2], high[2] = max(low[2], -1.0), min(high[2], 3.2)
-    return ((old_points >= low) & (old_points <= high)).all(axis=1)
+    return np.all((old_points >= low) & (old_points <= high), axis=1)
 
 
 def _unlike(
