@@ -15,8 +15,9 @@ DEPTH_MM = np.full((480, 640), 2000, np.uint16)
 
 
 def code_of(page):
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
-    return compile(code, page, "exec")
+    """Each piece of it."""
+    codes = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    return [compile(code, page, "exec") for code in codes]
 
 
 @pytest.fixture
@@ -31,12 +32,23 @@ def recording(tmp_path):
 def test_readme(recording, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen = {}
-    exec(code_of("README.md"), seen)
+    (code,) = code_of("README.md")
+    exec(code, seen)
     assert [frame.name for frame in seen["sequence"]] == ["0", "1"]
 
 
 def test_live_camera():
     T_world_camera = make_T(LOOK_ALONG_X, [0, 0, 1.2])
     seen = {"driver": [(DEPTH_MM, T_world_camera)] * 2}
-    exec(code_of("docs/recordings.md"), seen)
+    exec(code_of("docs/recordings.md")[0], seen)
     assert seen["index"] == 1 and seen["result"].timings_ms["backbone"] > 0
+
+
+def test_looking_twice(recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recording/pose").mkdir()
+    for i in range(2):
+        np.savetxt(f"recording/pose/{i}.txt", make_T(LOOK_ALONG_X, [0, 0, 1.2]))
+    seen = {}
+    exec(code_of("docs/recordings.md")[1], seen)
+    assert seen["frame"].index == 0 and seen["tracker"].tracks() == ()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from composenet.config import TrackingConfig
 from composenet.records import Track, TrackedObject, TrackState
-from composenet.tracking.offline import in_order_of_time, link_offline, look_back, settle
+from composenet.tracking.offline import in_order_of_time, link_offline
 from tracking_scenes import CHAIR, TABLE, block, thing
 
 CONFIG = TrackingConfig()
@@ -166,40 +166,6 @@ def test_a_track_looked_at_backwards_reads_forwards(looked_at_backwards, told):
         assert letters(read) == told
     boxes = {e.frame_index: e.box for e in turned}
     assert all(entry.box is boxes[entry.frame_index] for entry in read.history)
-
-
-def test_hindsight_keeps_what_was_sure_on_the_whole():
-    def sure(one: Track, *confidences: float) -> Track:
-        entries = zip(one.history, confidences, strict=True)
-        return replace(one, history=tuple(replace(e, confidence=c) for e, c in entries))
-
-    vague = sure(track(1, "TTT", y=-1.0), 0.9, 0.4, 0.3)
-    late = sure(track(2, "TTL", y=1.0), 0.4, 0.85, 0.3)  # unseen in the last frame
-    kept = look_back([vague, late], CONFIG)
-    assert [one.track_id for one in kept] == [2]
-    assert letters(kept[0]) == "TTL"
-
-
-def test_spans_of_stillness_have_one_box():
-    ys = [0.0, 0.05, -0.05, 0.0, 1.0, 1.1, 1.05, 0.05]
-    raw = track(1, "TTTTTLTT")
-    places = [thing(3, y, yaw=0.1 * i).box for i, y in enumerate(ys)]
-    S = raw.history[0].S_world_canonical
-    history = tuple(
-        replace(e, box=b, S_world_canonical=replace(S, t=b.center), confidence=0.2 + 0.1 * i)
-        for i, (e, b) in enumerate(zip(raw.history, places, strict=True))
-    )
-    settled = settle(replace(raw, history=history), CONFIG)
-    found = [e.box.center[1] for e in settled.history]
-    weights = np.array([0.2, 0.3, 0.4, 0.5])
-    first = np.average(ys[:4], weights=weights)
-    second = np.average([ys[4], ys[6]], weights=[0.6, 0.8])
-    np.testing.assert_allclose(found, [first] * 4 + [second] * 3 + [0.05])
-    for before, after in zip(history, settled.history, strict=True):
-        assert (after.observed, after.confidence) == (before.observed, before.confidence)
-        np.testing.assert_allclose(after.S_world_canonical.t, after.box.center)
-    extents = np.average([b.extents for b in places[:4]], axis=0, weights=weights)
-    np.testing.assert_allclose(settled.history[0].box.extents, extents)
 
 
 def test_the_whole_track_has_its_final_class():

@@ -136,10 +136,9 @@ class ObjectTracker:
         self._tracker.turn_back()
 
     def tracks(self) -> tuple[Track, ...]:
-        """All identities so far: as they were told of, or with tracking.offline as the whole
-        recording shows them."""
-        tracker = self._tracker
-        return tracker.hindsight() if self.config.tracking.offline else tracker.tracks()
+        """All identities so far, as they were told of; with tracking.offline linked over the whole
+        recording (the paper's second pass)."""
+        return self._tracker.tracks()
 
     def restart(self, **tracking: Any) -> ObjectTracker:
         """A tracker for another recording with the same network. Keywords replace fields of

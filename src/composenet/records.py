@@ -157,9 +157,9 @@ class TrackedObject:
 class Track:
     """One identity over time.
 
-    history: one entry for every frame in which it was told of; all from its birth until its end
-    where the whole recording was looked back on (tracking.offline). canonical: (64, 64, 64) float32
-    in 0..1, the running mean of its reconstructions. class_id: by weighted vote.
+    history: one entry for every frame in which it was told of, earliest first; with
+    tracking.offline for every one from the first to the last of these. canonical: (64, 64, 64)
+    float32 in 0..1, the running mean of its reconstructions. class_id: by weighted vote.
     """
 
     track_id: int

@@ -1,5 +1,6 @@
-"""The paper's second pass over a whole sequence, and what hindsight adds to it. It looks into the
-future: what it returns for a frame depends on later frames. Online tracking does not use it.
+"""The paper's second pass over a whole sequence, and what is needed to look at one backwards. It
+looks into the future: what it returns for a frame depends on later frames. Online tracking does not
+use it.
 """
 
 from __future__ import annotations
@@ -11,23 +12,10 @@ from itertools import pairwise
 import numpy as np
 
 from composenet.config import TrackingConfig
-from composenet.records import Box, FloatArray, Similarity, Track, TrackedObject, TrackState
+from composenet.records import FloatArray, Track, TrackedObject, TrackState
 from composenet.tracking.affinity import canonical_iou, occupancy_bits
 from composenet.tracking.assignment import assign
 from composenet.tracking.association import reach_m
-from composenet.tracking.tracklet import mean_box, stands_still
-
-
-def look_back(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track, ...]:
-    """Tracks from their birth on -> linked, settled, and only those whose mean confidence, where
-    they were seen, reaches config.keep_confidence; from their first frame on; by id."""
-    linked = link_offline(tracks, config)
-    sure = [track for track in linked if _mean_confidence(track) >= config.keep_confidence]
-    return tuple(settle(track, config) for track in sure)
-
-
-def _mean_confidence(track: Track) -> float:
-    return float(np.mean([entry.confidence for entry in track.history if entry.observed]))
 
 
 def in_order_of_time(track: Track) -> Track:
@@ -42,46 +30,6 @@ def in_order_of_time(track: Track) -> Track:
             entry = replace(entry, state=TrackState.RE_FOUND if absent else TrackState.TRACKED)
         history.append(entry)
     return replace(track, history=tuple(history))
-
-
-def settle(track: Track, config: TrackingConfig) -> Track:
-    """The track with its final class in every frame, and over each span in which it stands still
-    (see `stands_still`) the span's mean box, weighted by confidence. Unseen entries stay with the
-    span before them."""
-    spans: list[_Span] = []
-    member: list[_Span] = []
-    for entry in track.history:
-        if not spans or (entry.observed and not spans[-1].holds(entry, config)):
-            spans.append(_Span(entry.box))
-        if entry.observed:
-            spans[-1].add(entry)
-        member.append(spans[-1])
-    pairs = zip(track.history, member, strict=True)
-    settled = tuple(_placed(entry, span.box, track.class_id) for entry, span in pairs)
-    return replace(track, history=settled)
-
-
-class _Span:
-    """Observed entries of an object that stands still, and their weighted mean box."""
-
-    def __init__(self, box: Box) -> None:
-        self.box, self._weight = box, 0.0
-
-    def holds(self, entry: TrackedObject, config: TrackingConfig) -> bool:
-        """Whether the entry is where the others are."""
-        return stands_still(self.box, entry.box, config.still_share)
-
-    def add(self, entry: TrackedObject) -> None:
-        weight = max(entry.confidence, 1e-3)
-        self._weight += weight
-        self.box = mean_box(self.box, entry.box, weight / self._weight)
-
-
-def _placed(entry: TrackedObject, box: Box, class_id: int) -> TrackedObject:
-    """The entry, moved to a box."""
-    S, shift = entry.S_world_canonical, box.center - entry.box.center
-    moved = Similarity(S.scale_m, S.R, S.t + shift)
-    return replace(entry, box=box, S_world_canonical=moved, class_id=class_id)
 
 
 def link_offline(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track, ...]:

@@ -9,7 +9,7 @@ from composenet.config import TrackingConfig, VolumeConfig
 from composenet.errors import SequenceError
 from composenet.records import Box, Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
-from composenet.tracking.offline import in_order_of_time, look_back
+from composenet.tracking.offline import in_order_of_time, link_offline
 from composenet.tracking.tracklet import Tracklet
 from composenet.tracking.visibility import Visibility, surface_in_world, visibility
 
@@ -85,21 +85,13 @@ class Tracker:
             tracklet.turn_back()
 
     def tracks(self) -> tuple[Track, ...]:
-        """All tracks so far, as they were told of, ended ones included, by id."""
-        return self._in_order([t.track() for t in self._tracklets])
-
-    def hindsight(self) -> tuple[Track, ...]:
-        """All tracks from their birth on, told of or not, as the whole recording shows them."""
-        tracks = self._in_order([t.whole_track() for t in self._tracklets])
-        return look_back(tracks, self._config)
-
-    def _in_order(self, tracks: Sequence[Track]) -> tuple[Track, ...]:
-        """Those that have a history, with the earliest frame first."""
-        told = [track for track in tracks if track.history]
-        if not self._turned:
-            return tuple(told)
-        turned = [in_order_of_time(track) for track in told]
-        return tuple(track for track in turned if track.history)
+        """All tracks so far, as they were told of, ended ones included, by id; with config.offline
+        linked over the whole recording."""
+        tracks = [t.track() for t in self._tracklets]
+        if self._turned:
+            tracks = [in_order_of_time(track) for track in tracks]
+        told = tuple(track for track in tracks if track.history)
+        return link_offline(told, self._config) if self._config.offline else told
 
     def _advance(self, index: int) -> None:
         last, order = self._last_index, "backwards, once" if self._turned else "in order, once"

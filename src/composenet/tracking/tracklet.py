@@ -61,6 +61,8 @@ class Tracklet:
     Confidence: at birth nine tenths of the score; when seen again, the mean of the last
     confidence and the score, after an absence no less than at a birth; while unseen, it decays by
     a factor a frame, faster when lost than when occluded; 0 at the end.
+
+    latest: the entry of the newest frame.
     """
 
     def __init__(
@@ -75,7 +77,6 @@ class Tracklet:
         self.told = False
         self._misses = self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
-        self._history: list[TrackedObject] = []
         self._told_of: list[TrackedObject] = []
         self.S_world_canonical = estimate.S_world_canonical
         self.extents_m = estimate.extents_m
@@ -91,11 +92,6 @@ class Tracklet:
     def class_id(self) -> int:
         """The class with the largest sum of probabilities so far, each weighted by its score."""
         return int(np.argmax(self._votes))
-
-    @property
-    def latest(self) -> TrackedObject:
-        """The entry of the newest frame."""
-        return self._history[-1]
 
     def observe(self, frame_index: int, estimate: ObjectEstimate) -> None:
         """The frame shows it as `estimate`."""
@@ -127,14 +123,10 @@ class Tracklet:
         """Every frame in which it was told of, perhaps none, as a record."""
         return Track(self.track_id, self.class_id, tuple(self._told_of), self.model.mean)
 
-    def whole_track(self) -> Track:
-        """Everything since its birth, told of or not."""
-        return Track(self.track_id, self.class_id, tuple(self._history), self.model.mean)
-
     def turn_back(self) -> None:
         """The recording is looked at again from its end: it stays what it is, its history begins
         anew."""
-        self._history, self._told_of = [], []
+        self._told_of = []
 
     def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
         """Pose, extents and canonical model. An estimate whose pose is not observable says
@@ -175,7 +167,7 @@ class Tracklet:
         return mean_box(self.box, estimate.box, share)
 
     def _record(self, frame_index: int, observed: bool) -> None:
-        entry = TrackedObject(
+        self.latest = TrackedObject(
             track_id=self.track_id,
             frame_index=frame_index,
             class_id=self.class_id,
@@ -186,6 +178,5 @@ class Tracklet:
             extents_m=self.extents_m,
             observed=observed,
         )
-        self._history.append(entry)
         if self.told:
-            self._told_of.append(entry)
+            self._told_of.append(self.latest)
