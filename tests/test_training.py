@@ -159,7 +159,7 @@ def test_short_sequences_give_what_they_have(recordings: Path) -> None:
 
 def test_walks_start_with_nothing_remembered_or_see_everything_or_come_back() -> None:
     rng = np.random.default_rng(0)
-    walks = [data.walk(30, 6, rng) for _ in range(400)]
+    walks = [data.walk(30, 6, rng, 0.6) for _ in range(400)]
     steps = [np.diff(times) for times in walks]
     assert all(min(times) >= 0 and max(times) < 30 for times in walks)
     assert all(len(set(np.abs(step))) == 1 and abs(step[0]) <= data.LONGEST_STEP for step in steps)
@@ -169,6 +169,14 @@ def test_walks_start_with_nothing_remembered_or_see_everything_or_come_back() ->
     for times, returns in zip(walks, back, strict=True):
         if returns:  # to where it began, and nothing twice in a row
             assert times == times[::-1] and len(times) == 2 * len(set(times)) - 1
+
+
+def test_a_walk_through_a_long_recording_is_a_part_of_it() -> None:
+    rng = np.random.default_rng(0)
+    walks = [data.walk(5000, 6, rng, 1.0) for _ in range(100)]
+    assert max(len(set(times)) for times in walks) == data.LONGEST_WALK
+    assert min(map(min, walks)) < 1000 and max(map(max, walks)) > 4000
+    assert all(len(data.walk(5000, 6, rng, 0.0)) == 8 for _ in range(20))
 
 
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:

@@ -32,6 +32,8 @@ SKIPPED = 2
 """Frames of a short walk that are looked at and remembered, but no sample."""
 LONG_WALKS = 0.6
 """Share of the scenes that are walked from end to end, half of them there and back."""
+LONGEST_WALK = 30
+"""Frames one way; of a longer recording a random part is walked through."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -59,7 +61,8 @@ def samples_of_scene(
 ) -> Iterator[Sample]:
     """At most frames_per_scene samples of a walk through the scene, every one with what the frames
     before it on the walk saw; each with a slightly wrong floor height."""
-    times = walk(scene.n_frames, config.frames_per_scene, rng)
+    remembers = config.model.volume.memory_frames > 0
+    times = walk(scene.n_frames, config.frames_per_scene, rng, LONG_WALKS * remembers)
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
@@ -83,18 +86,19 @@ def samples_of_scene(
         yield make_sample(volume, truths, seen)
 
 
-def walk(n_frames: int, n_samples: int, rng: np.random.Generator) -> list[int]:
+def walk(n_frames: int, n_samples: int, rng: np.random.Generator, long_share: float) -> list[int]:
     """Frames of a recording in the order in which they are looked at, in steps of random length:
-    a few from a random one on, where little is remembered yet, or nearly all, where it is much,
-    or nearly all and then back, as when the recording is looked at twice."""
+    a few from a random one on, where little is remembered yet, or nearly all (the given share),
+    where it is much, half of these and then back, as when the recording is looked at twice."""
     length = n_samples + SKIPPED
-    if rng.random() >= LONG_WALKS:
+    if rng.random() >= long_share:
         step = int(rng.integers(1, max(1, min(LONGEST_STEP, n_frames // length)) + 1))
         start = int(rng.integers(0, max(1, n_frames - step * (length - 1))))
         return list(range(start, n_frames, step)[:length])
     back = rng.random() < 0.5
     step = int(rng.integers(1, 3)) + back
-    there = list(range(int(rng.integers(0, step)), n_frames, step))
+    start = int(rng.integers(0, max(step, n_frames - step * LONGEST_WALK + 1)))
+    there = list(range(start, n_frames, step)[:LONGEST_WALK])
     return there + there[-2::-1] if back else there
 
 
