@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T
 from tracking_scenes import LOOK_ALONG_X
 
@@ -51,4 +52,8 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
         np.savetxt(f"recording/pose/{i}.txt", make_T(LOOK_ALONG_X, [0, 0, 1.2]))
     seen = {}
     exec(code_of("docs/recordings.md")[1], seen)
-    assert seen["frame"].index == 0 and seen["tracker"].tracks() == ()
+    assert seen["frame"].index == 0  # the last one that it looked at
+    with pytest.raises(SequenceError, match="twice"):
+        seen["tracker"].turn_back()
+    histories = [[e.frame_index for e in track.history] for track in seen["tracker"].tracks()]
+    assert all(frames == sorted(set(frames)) for frames in histories)
