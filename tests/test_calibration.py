@@ -160,7 +160,10 @@ def kept(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPath
         for folder, item in zip(sequences, items, strict=True):
             cache.save(folder, name, item)
     info = RunInfo("recordings", 0, "composenet eval", "tiny")
-    results = {name: aggregate([i.scores for i in items]) for name, items in scored.items()}
+    results = {
+        name: aggregate({str(n): i.scores for n, i in enumerate(items)})
+        for name, items in scored.items()
+    }
     write_results(out / "results.json", info, results)
     return out
 

@@ -141,7 +141,9 @@ def test_perfect_answer():
     truth, tracks = world(), answer_tracks()
     estimates = answer_estimates(tracks)
     assert not shares_memory_with_truth(truth, estimates)
-    scores = aggregate([evaluate_sequence(truth, tracks, estimates, seconds_per_frame=[0.2] * 6)])
+    scores = aggregate(
+        {"one": evaluate_sequence(truth, tracks, estimates, seconds_per_frame=[0.2] * 6)}
+    )
     assert (scores.clear.tp, scores.clear.mota, scores.mota_mean) == (18, 1, 1)
     assert (scores.clear.mostly_tracked, scores.clear.fragmentations) == (3, 0)
     assert scores.clear.motp_cm == pytest.approx(0, abs=1e-9)
@@ -231,8 +233,9 @@ def test_dataset_means_and_pools():
     good = evaluate_sequence(world(), answer_tracks())
     half = evaluate_sequence(world(frames=2), [answer_tracks(frames=1)[0], []])
     nothing = evaluate_sequence(world(frames=1, visible=lambda i, t: 0), [[]])
-    scores = aggregate([good, half, nothing])
-    assert scores.sequences == 3
+    scores = aggregate({"good": good, "half": half, "nothing": nothing})
+    assert scores.mota_by_sequence["good"] == 1 and scores.mota_by_sequence["half"] == 0.5
+    assert np.isnan(scores.mota_by_sequence["nothing"])
     assert scores.mota_mean == pytest.approx(0.75)  # the third has nothing to find
     assert scores.clear.mota == pytest.approx(21 / 24)
     assert scores.clear_per_class[TABLE].mota == pytest.approx(7 / 8)
@@ -253,7 +256,7 @@ def test_bad_input():
     with pytest.raises(DataError, match="object 1 is not in"):
         evaluate_sequence(orphan, answer_tracks())
     with pytest.raises(DataError, match="no sequences"):
-        aggregate([])
+        aggregate({})
 
 
 KEYS = [
@@ -275,13 +278,14 @@ KEYS = [
     "mota_interval",
     "det_ap50_per_class",
     "completion_ap25_per_class",
+    "mota_per_sequence",
 ]
 
 
 def test_results_file(tmp_path):
     tracks = answer_tracks()
-    full = aggregate([evaluate_sequence(world(), tracks, answer_estimates(tracks))])
-    only_tracks = aggregate([evaluate_sequence(world(), tracks)])
+    full = aggregate({"one": evaluate_sequence(world(), tracks, answer_estimates(tracks))})
+    only_tracks = aggregate({"one": evaluate_sequence(world(), tracks)})
     info = RunInfo(data="tiny", seed=3)
     write_results(tmp_path / "results.json", info, {"full": full, "no-corr": only_tracks})
     data = json.loads((tmp_path / "results.json").read_text())
@@ -295,6 +299,7 @@ def test_results_file(tmp_path):
     assert first["mota_per_class"]["chair"] == 100
     assert first["mota_per_class"]["bed"] is None
     assert first["mota_interval"] == [100, 100]
+    assert first["mota_per_sequence"] == {"one": 100}
     assert first["det_ap50_per_class"]["chair"] == 100
     assert first["completion_ap25_per_class"]["bed"] is None
     assert second["det_map25"] is second["det_ap50_per_class"]["chair"] is None
@@ -305,10 +310,10 @@ def test_results_file(tmp_path):
 
 def test_tables():
     tracks = answer_tracks()
-    scores = aggregate([evaluate_sequence(world(), tracks, answer_estimates(tracks))])
+    scores = aggregate({"one": evaluate_sequence(world(), tracks, answer_estimates(tracks))})
     text = to_markdown(RunInfo("tiny", 0, commit="abc", hardware="two cores"), {"full": scores})
     assert "Data tiny, commit abc, seed 0, two cores." in text
-    only_tracks = aggregate([evaluate_sequence(world(), tracks)])
+    only_tracks = aggregate({"one": evaluate_sequence(world(), tracks)})
     rows = [len(table.rows) for table in sections({"f2f": only_tracks, "full": scores})]
     assert rows == [2, 2, 1, 1, 1] and len(sections({"f2f": only_tracks})) == 2
     tables = sections({"full": scores, "no-compl": scores})

@@ -35,7 +35,7 @@ def run_demo(out: Path, *, device: str, frames: int, weights: Path | None = None
     if not run.complete:
         return INTERRUPTED_EXIT_CODE
     say(console, "3/3 scoring it against the generator's ground truth")
-    scores = {"full": aggregate([score_folder(recording, result).scores])}
+    scores = {"full": aggregate({recording.name: score_folder(recording, result).scores})}
     write_results(out / "results.json", RunInfo(f"val_{DEMO_INDEX:05d}", seed=0), scores)
     console.print(tall_table(sections(scores)[0]))
     say(console, summary(run, result))

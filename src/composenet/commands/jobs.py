@@ -18,7 +18,7 @@ from composenet.commands.progress import progress_bar
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import ScoredSequence
 from composenet.errors import ComposenetError
-from composenet.metrics.evaluate import DatasetScores, aggregate
+from composenet.metrics.evaluate import DatasetScores, SequenceScores, aggregate
 
 Job = tuple[str, Path]
 """variant or method, sequence folder"""
@@ -125,11 +125,11 @@ def guarded(work: Callable[..., Scores], *arguments: object) -> Scores | str:
 
 def aggregated(outcomes: Mapping[Job, Outcome]) -> dict[str, DatasetScores]:
     """By variant or method, over the sequences that could be scored, in their order."""
-    scored: dict[str, list[ScoredSequence]] = {}
-    for (name, _), outcome in outcomes.items():
+    scored: dict[str, dict[str, SequenceScores]] = {}
+    for (name, folder), outcome in outcomes.items():
         if isinstance(outcome, ScoredSequence):
-            scored.setdefault(name, []).append(outcome)
-    return {name: aggregate([part.scores for part in parts]) for name, parts in scored.items()}
+            scored.setdefault(name, {})[folder.name] = outcome.scores
+    return {name: aggregate(parts) for name, parts in scored.items()}
 
 
 def failure_lines(outcomes: Mapping[Job, Outcome]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,12 +70,13 @@ class CompletionScores:
 class DatasetScores:
     """Several sequences. Shares are 0..1 and NaN where undefined.
 
-    mota_mean: over the sequences that have counted objects, with its 95 % interval (bootstrap
-    over sequences). clear, clear_per_class, identity, hota: pooled over all sequences. precisions,
-    completion, pose: None where only tracks were scored.
+    mota_by_sequence: by name, NaN for a sequence without counted objects; mota_mean: of the
+    others, with its 95 % interval (bootstrap over sequences). clear, clear_per_class, identity,
+    hota: pooled over all sequences. precisions, completion, pose: None where only tracks were
+    scored.
     """
 
-    sequences: int
+    mota_by_sequence: Mapping[str, float]
     mota_mean: float
     mota_interval: tuple[float, float]
     clear: ClearScores
@@ -151,16 +152,18 @@ def posed_truths(truth: SequenceTruth) -> list[list[PosedTruth]]:
     return result
 
 
-def aggregate(scores: Sequence[SequenceScores]) -> DatasetScores:
-    """The scores of a data set. Raises DataError for no sequences."""
-    if not scores:
+def aggregate(by_name: Mapping[str, SequenceScores]) -> DatasetScores:
+    """The scores of a data set from those of its sequences, by name. Raises DataError for no
+    sequences."""
+    if not by_name:
         raise DataError("no sequences to score: is the data folder empty?")
+    scores = tuple(by_name.values())
     motas = np.array([score.clear.mota for score in scores])
     first, rest = scores[0], scores[1:]
     objects = [score.objects for score in scores if score.objects is not None]
     seconds = np.concatenate([score.seconds_per_frame for score in scores])
     return DatasetScores(
-        sequences=len(scores),
+        mota_by_sequence=dict(zip(by_name, motas.tolist(), strict=True)),
         mota_mean=_mean(motas),
         mota_interval=bootstrap_interval(motas),
         clear=sum((score.clear for score in rest), first.clear),

@@ -169,7 +169,7 @@ def _line(cells: Sequence[str]) -> str:
 def _variant(scores: DatasetScores) -> dict[str, Any]:
     pose = scores.pose
     return {
-        "sequences": scores.sequences,
+        "sequences": len(scores.mota_by_sequence),
         "mota_mean": _percent(scores.mota_mean),
         "mota_pooled": _percent(scores.clear.mota),
         "mota_per_class": _named([clear.mota for clear in scores.clear_per_class]),
@@ -187,6 +187,7 @@ def _variant(scores: DatasetScores) -> dict[str, Any]:
         "mota_interval": [_percent(bound) for bound in scores.mota_interval],
         "det_ap50_per_class": _named(_by_class(scores, "box50")),
         "completion_ap25_per_class": _named(_by_class(scores, "completion25")),
+        "mota_per_sequence": {k: _percent(v) for k, v in scores.mota_by_sequence.items()},
     }
 
 
@@ -228,7 +229,7 @@ def _tracking(scores: DatasetScores) -> dict[str, str]:
 def _events(scores: DatasetScores) -> dict[str, str]:
     clear = scores.clear
     return {
-        "sequences": str(scores.sequences),
+        "sequences": str(len(scores.mota_by_sequence)),
         "counted": str(clear.truths),
         "FN": str(clear.fn),
         "FP": str(clear.fp),
