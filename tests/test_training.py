@@ -21,6 +21,7 @@ from PIL import Image
 from composenet.config import dump
 from composenet.errors import DataError, WeightsError
 from composenet.network.weights import load_weights
+from composenet.synth.scene import generate_scene
 from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig
@@ -177,6 +178,24 @@ def test_a_walk_through_a_long_recording_is_a_part_of_it() -> None:
     assert max(len(set(times)) for times in walks) == data.LONGEST_WALK
     assert min(map(min, walks)) < 1000 and max(map(max, walks)) > 4000
     assert all(len(data.walk(5000, 6, rng, 0.0)) == 8 for _ in range(20))
+
+
+def test_some_cameras_look_aside_in_training_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [generate_scene("train", i) for i in range(6)]
+    monkeypatch.setattr(data, "LOOKS_ASIDE", 0.5)
+    turns = []
+    for i, scene in enumerate(scenes):
+        seen, again = SceneSource().scene(i), SceneSource().scene(i)
+        np.testing.assert_array_equal(seen.T_world_camera, again.T_world_camera)
+        turn = seen.T_world_camera[:, :3, :3] @ scene.T_world_camera[:, :3, :3].transpose(0, 2, 1)
+        np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-12)
+        np.testing.assert_allclose(turn[0, 2], [0, 0, 1], atol=1e-12)  # about the vertical
+        np.testing.assert_array_equal(seen.T_world_camera[:, :3, 3], scene.T_world_camera[:, :3, 3])
+        turns.append(round(float(np.degrees(np.arctan2(turn[0, 1, 0], turn[0, 0, 0]))), 3))
+    assert 0 < turns.count(0.0) < 6 and len(set(turns)) == 7 - turns.count(0.0)
+    monkeypatch.setattr(data, "LOOKS_ASIDE", 1.0)
+    val = SceneSource("val").scene(0).T_world_camera
+    np.testing.assert_array_equal(val, generate_scene("val", 0).T_world_camera)
 
 
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch.utils.data import IterableDataset, get_worker_info
 
-from composenet.geometry.transform import make_T
+from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import Camera, Frame
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 from composenet.training.config import TrainingConfig
@@ -34,6 +34,9 @@ LONG_WALKS = 0.6
 """Share of the scenes that are walked from end to end, half of them there and back."""
 LONGEST_WALK = 30
 """Frames one way; of a longer recording a random part is walked through."""
+LOOKS_ASIDE = 0.1
+"""Share of the generated scenes in which the camera is turned by any angle all along, whatever it
+was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -53,7 +56,11 @@ class SceneSource:
         if self.data_dir is not None:
             return disk_scene(self.data_dir, index)
         options = SceneOptions(cad_dir=self.cad_dir, cad_share=self.cad_share)
-        return generate_scene(self.split, index, options)
+        scene = generate_scene(self.split, index, options)
+        rng = np.random.default_rng((index, 1))
+        if self.split == "train" and rng.random() < LOOKS_ASIDE:
+            return turned_aside(scene, float(rng.uniform(0, 2 * np.pi)))
+        return scene
 
 
 def samples_of_scene(
@@ -84,6 +91,14 @@ def samples_of_scene(
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
         yield make_sample(volume, truths, seen)
+
+
+def turned_aside(scene: Scene, yaw: float) -> Scene:
+    """The scene as a camera sees it that is turned about the vertical by yaw, radians, where it
+    stands."""
+    poses = scene.T_world_camera.copy()
+    poses[:, :3, :3] = rotation_z(yaw) @ poses[:, :3, :3]
+    return replace(scene, T_world_camera=poses)
 
 
 def walk(n_frames: int, n_samples: int, rng: np.random.Generator, long_share: float) -> list[int]:
