@@ -22,8 +22,6 @@ from composenet.records import Box, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
 CANONICAL_CELLS = 64
-COMPLETED_SHARE = 0.25
-"""How much the completed geometry's box counts against the detector's."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,9 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
-    The box lies between the detector's and the completed geometry's (`COMPLETED_SHARE`).
+    The box is as large as the detector says and stands where the pose says, which errs less.
     With config.tracking.use_completion False only observed cells carry geometry and
-    correspondences (the paper's "no compl."), and the box is the detector's.
+    correspondences (the paper's "no compl.").
     """
     if len(proposals.center) == 0:
         return ()
@@ -134,18 +132,12 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
     cell_m = _numpy(crop.size[0]) / cells
     filled = found.shown[i].flatten() >= 0.5
     points_grid = _numpy(crop.points(cells)[0, filled])
-    center, extents = _numpy(found.proposals.center[i]), _numpy(found.proposals.extents[i])
-    if config.tracking.use_completion:  # two estimates of one box, whose errors differ
-        reach = np.abs(_numpy(crop.R_grid_crop[0])) @ cell_m / 2
-        first, last = points_grid.min(axis=0) - reach, points_grid.max(axis=0) + reach
-        center += COMPLETED_SHARE * ((first + last) / 2 - center)
-        extents += COMPLETED_SHARE * (last - first - extents)
-    box = Box(R_world_grid @ center + low, np.abs(R_world_grid) @ extents)
     similarity = Similarity(
         scale_m=float(found.fit.scale[i]),
         R=R_world_grid @ _numpy(found.fit.R[i]),
         t=R_world_grid @ _numpy(found.fit.t[i]) + low,
     )
+    box = Box(similarity.t, np.abs(R_world_grid) @ _numpy(found.proposals.extents[i]))
     points_world = points_grid @ R_world_grid.T + low
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(
