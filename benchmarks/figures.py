@@ -118,7 +118,7 @@ def read_scores(
     again = f"run `composenet eval --out {scores}` once more"
     if len(kept) != expected["sequences"]:
         raise DataError(f"{scores}: {len(kept)} of {expected['sequences']} sequences kept; {again}")
-    mota = 100 * aggregate({name: item.scores for name, item in kept.items()}).mota_mean
+    mota = 100 * aggregate({path.name: item.scores for path, item in kept.items()}).mota_mean
     if not math.isclose(mota, expected["mota_mean"], abs_tol=1e-5):
         raise DataError(f"{scores}: results.json and the kept sequences are of two runs; {again}")
     return run, kept

@@ -54,7 +54,7 @@ class NetworkConfig:
     """cells a side of the fixed grid each box is sampled on; halved three times"""
     crop_margin: Annotated[float, Field(ge=1)] = 1.25
     """the crop is the proposal grown by this factor"""
-    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """a cell counts as filled from this probability on"""
 
 
@@ -114,7 +114,7 @@ class TrackingConfig:
     """added to that way: noise of the centres"""
     max_reach_m: Positive = 1.2
     """no canonical match is farther from the last place, however long ago it was"""
-    still_share: Share = 0.1
+    still_share: Share = 0.04
     """a centre that moves by less than this share of its box's horizontal diagonal stands still,
     and its boxes are averaged"""
     steady_weight: Positive = 3.0

@@ -92,14 +92,17 @@ def _complete(
 
 def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
     """(M, C, C, C) probability, stretched so that 0.5 is the decision threshold."""
-    probability = objects.occupancy.sigmoid()
-    threshold = config.network.occupancy_threshold
-    low = 0.5 * probability / threshold
-    high = 0.5 + 0.5 * (probability - threshold) / (1 - threshold)
-    shown = torch.where(probability < threshold, low, high)
+    shown = stretched(objects.occupancy.sigmoid(), config.network.occupancy_threshold)
     if not config.tracking.use_completion:
         shown = shown * objects.surface.to(shown.dtype)
     return shown
+
+
+def stretched(probability: Tensor, threshold: float) -> Tensor:
+    """Probabilities 0..1 of any shape, so that the threshold lies at 0.5 and 0 and 1 stay."""
+    low = 0.5 * probability / threshold
+    high = 0.5 + 0.5 * (probability - threshold) / (1 - threshold)
+    return torch.where(probability < threshold, low, high)
 
 
 def _with_boxes(fit: SimilarityFit, proposals: Proposals, volume: Volume) -> SimilarityFit:
