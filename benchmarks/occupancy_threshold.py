@@ -74,7 +74,7 @@ def main(
         }
         print(f"threshold {threshold:4.2f}  {rows[str(threshold)]}")
     if out is not None:
-        command = f"benchmarks/occupancy_threshold.py --start {start} --count {count}"
+        command = f"python benchmarks/occupancy_threshold.py --start {start} --count {count}"
         info = RunInfo(f"val {start}-{start + count - 1}", 1, command, weights_id(path))
         out.write_text(
             json.dumps(asdict(info) | {"tracked_with": used, "thresholds": rows}, indent=2) + "\n"
