@@ -56,7 +56,7 @@ def test_a_sliding_object_keeps_its_id():
 
 def test_a_still_object_is_averaged_and_a_long_step_is_followed_at_once():
     rng = np.random.default_rng(0)
-    noisy = [(None, [thing(3 + e, 0)]) for e in 0.03 * rng.standard_normal(40)]
+    noisy = [(None, [thing(3 + e, 0)]) for e in 0.01 * rng.standard_normal(40)]
     _, outputs = run(noisy)
     places = np.array([out[0].box.center[0] for out in outputs[5:]])
     raw = np.array([e[0].box.center[0] for _, e in noisy[5:]])
@@ -65,6 +65,12 @@ def test_a_still_object_is_averaged_and_a_long_step_is_followed_at_once():
         np.testing.assert_allclose(out[0].S_world_canonical.t, out[0].box.center, atol=1e-9)
     _, outputs = run([*noisy, (None, [thing(3.3, 0)])])
     np.testing.assert_allclose(outputs[-1][0].box.center[0], 3.3)
+
+
+def test_what_is_pushed_does_not_lag_behind():
+    way = 3 + 0.08 * np.arange(12)
+    _, outputs = run([(None, [thing(x, 0)]) for x in way])
+    np.testing.assert_allclose([out[0].box.center[0] for out in outputs], way, atol=1e-9)
 
 
 def test_two_crossing_objects_keep_their_ids():
