@@ -112,10 +112,10 @@ class ObjectEstimate:
     """A posed detection: one object in one frame, completed.
 
     class_probabilities: (n_classes,), sum 1. score: 0..1, of being an object and of its likeliest
-    class. box: world, of the completed object. S_world_canonical: fitted
+    class. box: world, of the whole object, centred where the pose is. S_world_canonical: fitted
     by Procrustes; pose_observable is False where the correspondences do not fix it (then the
-    similarity is the box with identity rotation). extents_m: (3,) full extents in object axes.
-    points_world: (P, 3) float32, occupied cells.
+    similarity is the detector's box with identity rotation). extents_m: (3,) full
+    extents in object axes. points_world: (P, 3) float32, occupied cells.
     canonical: (64, 64, 64) float32 in 0..1, the canonical reconstruction.
     """
 
