@@ -61,6 +61,17 @@ def test_only_the_detector_learns(recordings: Path, tmp_path: Path, joint: bool)
     assert set(values[0]) == DETECTOR_LOSSES | {"total", "gradient_norm"}
 
 
+def test_only_the_second_look_learns(recordings: Path, tmp_path: Path) -> None:
+    trainer = Trainer(replace(CONFIG, parts="boxes"), options(tmp_path), ALONE)
+    before, batch = state_of(trainer), batch_of(recordings)
+    values = [trainer.step(batch, 1e-2) for _ in range(2)]
+    parts = changed(before, state_of(trainer))
+    assert not parts["backbone"] and not parts["detection"] and "objects" not in parts
+    learned = {name for name, _ in trainer.module.network.boxes.named_parameters()}
+    assert learned == parts["boxes"]
+    assert set(values[0]) == {"box", "box_class", "quality", "total", "gradient_norm"}
+
+
 def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
     trainer = Trainer(replace(CONFIG, joint_from_step=0), options(tmp_path), ALONE)
     before, batch = state_of(trainer), batch_of(recordings)
@@ -72,7 +83,7 @@ def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
     assert len(parts) == 4 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
 
 
-@pytest.mark.parametrize("parts", ["all", "detector", "objects"])
+@pytest.mark.parametrize("parts", ["all", "detector", "boxes", "objects"])
 def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, parts: str) -> None:
     config = replace(CONFIG, parts=parts, joint_from_step=1, min_visible_pixels=10**6)
     trainer, batch = Trainer(config, options(tmp_path), ALONE), batch_of(recordings, config)

@@ -1,9 +1,9 @@
 """Second look at a box: its class, its quality and a better box.
 
-A small PointNet (Qi et al. 2017) over the surface voxels in and around the box, and a small dense
-network over the space there, which tells where an object ends from where its view ends. The paper
-stops at the clusters' means; a look at all voxels of a box at once corrects boxes that hug the
-visible part.
+A small PointNet (Qi et al. 2017) over the surface voxels in and around the box, a small dense
+network over the space there, which tells where an object ends from where its view ends, and another
+over what the depth image shows of it (`BoxView`). The paper stops at the clusters' means; a look at
+all voxels of a box at once corrects boxes that hug the visible part.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from composenet.network.batch import CropBatch, VolumeBatch
+from composenet.network.box_view import BoxView
 from composenet.network.crop_inputs import N_CHANNELS, crop_inputs
 from composenet.network.detection_head import VoxelFields
 
@@ -76,8 +77,11 @@ class BoxHead(nn.Module):
             nn.Linear(32 * (SPACE_CELLS // 2) ** 3, 64),
             nn.ReLU(),
         )
+        self.view = BoxView(64)
         self.box = nn.Sequential(
-            nn.Linear(2 * 128 + 5 + n_classes + 64, 128), nn.ReLU(), nn.Linear(128, 7 + n_classes)
+            nn.Linear(2 * 128 + 5 + n_classes + 64 + 64, 128),
+            nn.ReLU(),
+            nn.Linear(128, 7 + n_classes),
         )
         nn.init.zeros_(cast(nn.Linear, self.box[2]).weight)  # at first the box as it is
 
@@ -108,7 +112,9 @@ class BoxHead(nn.Module):
         count = torch.bincount(box, minlength=len(frame)).to(center.dtype)[:, None]
         n_classes = fields.class_logits.shape[1]
         space = self.space(crop_inputs(batch, around, SPACE_CELLS, truncation_m)[0])
-        summary = [pooled, votes[:, n_classes:], extents.log(), above, (1 + count).log() / 5, space]
+        view = self.view(batch, frame, center, extents)
+        sizes = [extents.log(), above, (1 + count).log() / 5]
+        summary = [pooled, votes[:, n_classes:], *sizes, space, view]
         out = self.box(torch.cat(summary, dim=1))
         return BoxFields(
             center=center + extents * out[:, :3],

@@ -50,9 +50,9 @@ class TrainingConfig:
     """[paper]"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    parts: Literal["all", "detector", "objects"] = "all"
-    """what learns; the detector alone costs a fifth of a whole step, and the object network alone
-    sees the features of a detector that is held fixed"""
+    parts: Literal["all", "detector", "boxes", "objects"] = "all"
+    """what learns; the detector alone costs a fifth of a whole step, and the second look at boxes
+    alone, or the object network alone, sees voxel features that are held fixed"""
     joint_from_step: Annotated[int, Field(ge=0)] = 3200
     """until then the object network learns on jittered true boxes with the features held fixed,
     afterwards end to end and on the detector's own proposals too (the paper's two stages)"""

@@ -22,6 +22,8 @@ from composenet.training.proposals import TrainingBoxes, chosen_objects, trainin
 from composenet.training.targets import TrainingBatch
 
 POSE_LOSSES = ("rotation", "scale", "translation")
+LOWEST_OBJECTNESS = 0.2
+"""Clusters of voxels that are this unsure are looked at too: most are no furniture."""
 
 
 class LossModule(nn.Module):
@@ -36,7 +38,7 @@ class LossModule(nn.Module):
     def train(self, mode: bool = True) -> LossModule:
         """Training mode, except for what is held fixed."""
         super().train(mode)
-        if self.config.parts == "objects":
+        if self.config.parts in ("boxes", "objects"):
             self.network.backbone.eval()
         return self
 
@@ -46,9 +48,11 @@ class LossModule(nn.Module):
         """Unweighted losses by name. joint: second stage (gradients reach the backbone through
         the object network, and boxes are corrected before it looks into them)."""
         config = self.config
+        learns_voxels = config.parts in ("all", "detector")
         learns_boxes = config.parts != "objects"
-        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_boxes):
+        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_voxels):
             fields = self.network.voxel_fields(batch.volume)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_boxes):
             proposals: tuple[Proposals, ...] = ()
             if learns_boxes:
                 proposals = self._proposals(fields, batch, generator)
@@ -57,9 +61,11 @@ class LossModule(nn.Module):
                 fields, batch.volume, boxes.center, boxes.extents, boxes.frame
             )
         losses: dict[str, Tensor] = {}
+        if learns_voxels:
+            losses |= detection_losses(fields, batch)
         if learns_boxes:
-            losses = detection_losses(fields, batch) | box_losses(corrected, batch, boxes)
-        if config.parts == "detector":
+            losses |= box_losses(corrected, batch, boxes)
+        if config.parts in ("detector", "boxes"):
             return losses, PoseErrors.none(fields.objectness)
         if joint:
             boxes = TrainingBoxes.matched(
@@ -83,13 +89,19 @@ class LossModule(nn.Module):
         self, fields: VoxelFields, batch: TrainingBatch, generator: torch.Generator
     ) -> tuple[Proposals, ...]:
         """What the detector finds with one of its radii (those of all are too alike to be worth
-        their time), and what the second look makes of it: in tracking that is where it looks
-        again (see `detection.remembered`)."""
+        their time) from a random objectness on, and what the second look makes of it: in tracking
+        that is where it looks again (see `detection.remembered`)."""
         detection = self.config.model.detection
         radii = (detection.mean_shift_radius_voxels, *detection.further_radii_voxels)
         radius = radii[int(torch.randint(len(radii), (), generator=generator))]
+        sure = detection.objectness_threshold
+        threshold = sure + float(torch.rand((), generator=generator)) * (LOWEST_OBJECTNESS - sure)
         one = dataclasses.replace(
-            detection, mean_shift_radius_voxels=radius, further_radii_voxels=()
+            detection,
+            mean_shift_radius_voxels=radius,
+            further_radii_voxels=(),
+            objectness_threshold=threshold,
+            min_score=min(threshold, detection.min_score),
         )
         found = propose(fields, batch.volume, one)
         if not detection.use_tracks:
