@@ -93,22 +93,28 @@ def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, par
     assert all(torch.isfinite(value).all() for value in state_of(trainer).values())
 
 
-def test_each_step_proposes_with_one_of_the_radii(
+def test_each_step_proposes_with_one_of_the_radii_and_a_random_objectness(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    sure: list[float] = []
     drawn: list[tuple[float, tuple[float, ...]]] = []
     propose = step.propose
 
     def noted(fields, batch, config) -> tuple[Proposals, ...]:
         drawn.append((config.mean_shift_radius_voxels, config.further_radii_voxels))
+        sure.append(config.objectness_threshold)
+        assert config.min_score <= config.objectness_threshold  # else the unsure ones are dropped
         return propose(fields, batch, config)
 
     monkeypatch.setattr(step, "propose", noted)
-    trainer = Trainer(replace(CONFIG, parts="detector"), options(tmp_path), ALONE)
+    detection = replace(CONFIG.model.detection, objectness_threshold=0.5)
+    model = replace(CONFIG.model, detection=detection)
+    trainer = Trainer(replace(CONFIG, parts="detector", model=model), options(tmp_path), ALONE)
     batch = batch_of(recordings)
     for _ in range(16):
         trainer.step(batch, 1e-3)
-    detection = CONFIG.model.detection
     radii = {detection.mean_shift_radius_voxels, *detection.further_radii_voxels}
     assert len(radii) == 3 and {radius for radius, _ in drawn} == radii
     assert {further for _, further in drawn} == {()}
+    assert step.LOWEST_OBJECTNESS <= min(sure) < 0.3 < 0.4 < max(sure)
+    assert max(sure) <= detection.objectness_threshold

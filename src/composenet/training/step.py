@@ -95,7 +95,8 @@ class LossModule(nn.Module):
         radii = (detection.mean_shift_radius_voxels, *detection.further_radii_voxels)
         radius = radii[int(torch.randint(len(radii), (), generator=generator))]
         sure = detection.objectness_threshold
-        threshold = sure + float(torch.rand((), generator=generator)) * (LOWEST_OBJECTNESS - sure)
+        unsure = min(sure, LOWEST_OBJECTNESS)
+        threshold = sure + float(torch.rand((), generator=generator)) * (unsure - sure)
         one = dataclasses.replace(
             detection,
             mean_shift_radius_voxels=radius,
