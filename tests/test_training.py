@@ -248,6 +248,24 @@ def test_a_resumed_run_sees_new_scenes(
     assert max(used) < trainer.progress.scenes
 
 
+def test_runs_of_other_seeds_see_other_scenes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Else a run that goes on from another's weights learns the same rooms by heart."""
+    drawn = Drawn(monkeypatch)
+    starts: list[int] = []
+    monkeypatch.setattr(
+        loop,
+        "batches_of",
+        lambda stream, _: starts.append(stream.start) or itertools.repeat(None),
+    )
+    for seed in (0, 1, 27):
+        trainer = Trainer(TrainingConfig(model=TINY, seed=seed), options(tmp_path), ALONE)
+        next(loop._batches(trainer, options(tmp_path), SceneSource()))
+    seen = [drawn.batches(60, start, 0, 1) for start in starts]
+    assert starts[0] == 0 and sum(map(len, seen)) == len(set.union(*seen))
+
+
 def _one_of_two(rank: int, port: int, recordings: Path, out: Path) -> None:
     os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2", "LOCAL_RANK": str(rank)}
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}

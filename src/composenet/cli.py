@@ -101,7 +101,7 @@ class Train:
     cad_share: Share = 0.5
     """share of the furniture taken from --cad"""
     start_from: Path | None = None
-    """weights to begin a new run from"""
+    """weights to begin a new run from; with another seed than theirs it meets new scenes"""
 
     def run(self) -> int:
         """Exit code."""

@@ -63,7 +63,8 @@ class TrainingConfig:
     frames_per_scene: Count = 5
     min_visible_pixels: Count = 50
     """objects with fewer are no target"""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
+    """runs of different seeds meet different scenes"""
 
 
 def training_config(source: Path | None) -> TrainingConfig:

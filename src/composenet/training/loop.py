@@ -28,6 +28,10 @@ from composenet.training.step import LossModule, weighted_sum
 from composenet.training.targets import TrainingBatch
 from composenet.training.validation import validate
 
+SCENES_OF_A_SEED = 1_000_000
+"""A run draws its scenes from this many of its own, so that one that goes on from another's weights
+with another seed meets new ones."""
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -218,7 +222,8 @@ def _run(
 def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iterator[TrainingBatch]:
     """Batches from the workers. Counts the scenes that those draw before the first step."""
     config, group, progress = trainer.config, trainer.group, trainer.progress
-    stream = SceneStream(source, config, progress.scenes, group.rank, group.size)
+    first = config.seed * SCENES_OF_A_SEED + progress.scenes
+    stream = SceneStream(source, config, first, group.rank, group.size)
     loader = batches_of(stream, options.workers)
     ahead = (POOL_BATCHES + PREFETCHED) * _scenes_per_step(config, group.size)
     progress.scenes += ahead * max(1, options.workers)
