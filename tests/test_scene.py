@@ -10,7 +10,9 @@ import pytest
 import trimesh
 
 from composenet.errors import DataError
+from composenet.geometry.transform import apply_T
 from composenet.records import (
+    CLASS_NAMES,
     Box,
     ObjectFrameTruth,
     ObjectTruth,
@@ -160,6 +162,21 @@ def test_truth_agrees_with_the_image(scenes: list[Scene]) -> None:
         assert inside.all()
         seen += len(u) > 0
     assert seen >= 1
+
+
+def test_others_are_the_clutter(scenes: list[Scene]) -> None:
+    count = 0
+    for scene in scenes:
+        clutter = [k for k, shape in enumerate(scene.shapes) if k and not scene.gt_ids[k]]
+        boxes = scene.others(3)
+        assert len(boxes) == len(clutter)
+        for k, box in zip(clutter, boxes, strict=True):
+            assert scene.shapes[k].class_name not in CLASS_NAMES
+            points = apply_T(scene.T_world_shape[3, k], scene.shapes[k].vertices.astype(float))
+            np.testing.assert_allclose(box.center - box.extents / 2, points.min(axis=0))
+            np.testing.assert_allclose(box.center + box.extents / 2, points.max(axis=0))
+            count += 1
+    assert count >= len(scenes)
 
 
 def test_object_truth_follows_the_conventions(scenes: list[Scene]) -> None:

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from composenet.geometry.symmetry import ORDER, turns
-from composenet.geometry.transform import rotation_z
+from composenet.geometry.transform import apply_T, rotation_z
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.object_net import HEADING_BINS, HeadingNet, ObjectFields
-from composenet.records import Symmetry
+from composenet.records import Box, Symmetry
 from composenet.training.losses import (
     OBJECT_LOSSES,
     detection_losses,
@@ -23,7 +23,14 @@ from composenet.training.losses import (
     object_losses,
     valid_headings,
 )
-from composenet.training.targets import TrainingBatch, occupancy_in_crops, soften
+from composenet.training.targets import (
+    OTHER_VOXELS,
+    TrainingBatch,
+    collate_samples,
+    make_sample,
+    occupancy_in_crops,
+    soften,
+)
 from training_cases import EXTENTS, SIZE_M, bumpy_block, no_object, one_object, volume_of
 
 CELLS = 16
@@ -97,6 +104,22 @@ def test_targets_are_in_the_grid() -> None:
     np.testing.assert_allclose(R @ batch.t[0].numpy() + low, [1.6, 1.7, 0.5], atol=1e-6)
     np.testing.assert_allclose(R @ batch.R_grid_object[0].numpy(), rotation_z(0.4), atol=1e-6)
     assert float(batch.scale_m[0]) == pytest.approx(np.linalg.norm(EXTENTS), rel=1e-6)
+
+
+def test_other_things_are_kept_where_the_frame_shows_them() -> None:
+    """Their boxes are in the grid; voxels of objects and remembered ones do not count."""
+    whole = volume_of(label=0)  # 40 voxels of no object, in 16 x 16 x 16 cells
+    T = whole.T_world_grid
+    middle = apply_T(T, np.full((1, 3), 7.5 * SIZE_M))[0]
+    around = Box(middle, np.abs(T[:3, :3]) @ np.array([0.9, 1.0, 1.1]))
+    beside = Box(middle + np.array([3.0, 0, 0]), around.extents)
+    sample = make_sample(whole, [], [], [beside, around])
+    expected = [*[7.5 * SIZE_M] * 3, 0.9, 1.0, 1.1]
+    np.testing.assert_allclose(sample.other_boxes, [expected], atol=1e-6)
+    for few in (replace(whole, n_seen=OTHER_VOXELS - 1), volume_of(label=3)):
+        assert make_sample(few, [], [], [beside, around]).other_boxes.shape == (0, 6)
+    batch = collate_samples([make_sample(volume_of(), [], []), sample, sample])
+    assert batch.other_frame.tolist() == [1, 2] and batch.other_boxes.shape == (2, 6)
 
 
 @pytest.mark.parametrize("symmetry", list(Symmetry))

@@ -101,6 +101,27 @@ def test_training_boxes_are_jittered_random_and_the_detectors_own() -> None:
     torch.testing.assert_close(crops.size[:, 2], 1.25 * boxes.extents[:, 2])
 
 
+def test_what_is_no_furniture_is_looked_at_too() -> None:
+    """Jittered as objects are, beside them, in its own frame; no object to be taught but to be
+    refused."""
+    batch = one_object()
+    away = torch.cat([batch.center + 5, batch.extents], dim=1)
+    batch = replace(batch, other_frame=torch.tensor([0]), other_boxes=away)
+    g = generator()
+    many = [training_boxes(batch, (), g) for _ in range(300)]
+    assert all(boxes.frame[:2].tolist() == [1, 0] for boxes in many)
+    assert not any(boxes.positive[1] for boxes in many)
+    gaps = torch.stack([(boxes.center[1] - away[0, :3]) / batch.extents[0] for boxes in many])
+    assert gaps.mean(dim=0).abs().max() < 0.03 and 0.05 < gaps.std() < 0.3
+    boxes = many[0]
+    fields = BoxFields(
+        boxes.center, boxes.extents, torch.zeros(4, requires_grad=True), torch.zeros(4, 10)
+    )
+    box_losses(fields, batch, boxes)["quality"].backward()
+    taught = 0.5 - 4 * fields.quality.grad  # the sigmoid less its gradient
+    assert taught[0] > 0.5 and taught[1:].tolist() == pytest.approx([0, 0, 0], abs=1e-6)
+
+
 def test_jitter_varies_about_the_truth() -> None:
     """Most copies still show their object; none is exact; on the average they are unbiased."""
     batch = one_object()

@@ -16,6 +16,7 @@ from composenet.geometry.box import aabb_of_points
 from composenet.geometry.transform import apply_T, inverse_T, make_T, rotation_z
 from composenet.records import (
     CLASS_NAMES,
+    Box,
     Camera,
     FloatArray,
     Frame,
@@ -139,7 +140,7 @@ class Scene:
                 symmetry=shape.symmetry,
                 extents_m=shape.extents_m,
                 occupancy=occupancy(shape),
-                hull=self._hull(gt_id).astype(np.float32),
+                hull=self._hull(self._slot(gt_id)).astype(np.float32),
                 recipe=shape.style,
             )
         return self._truths[gt_id]
@@ -158,6 +159,14 @@ class Scene:
         )
         return SequenceTruth(self.objects, frames, (self.camera.width, self.camera.height))
 
+    def others(self, i: int) -> tuple[Box, ...]:
+        """Boxes in frame i of the clutter: everything but the room and the furniture."""
+        slots = range(1, len(self.shapes))
+        return tuple(self._box(i, slot) for slot in slots if self.gt_ids[slot] == 0)
+
+    def _box(self, i: int, slot: int) -> Box:
+        return aabb_of_points(apply_T(self.T_world_shape[i, slot], self._hull(slot)))
+
     def _object_frame(self, i: int, gt_id: int, visible: int) -> ObjectFrameTruth:
         slot = self._slot(gt_id)
         T_world_object = self.T_world_shape[i, slot]
@@ -172,7 +181,7 @@ class Scene:
         return ObjectFrameTruth(
             gt_id=gt_id,
             T_world_object=T_world_object,
-            box=aabb_of_points(apply_T(T_world_object, self._hull(gt_id))),
+            box=self._box(i, slot),
             visible_pixels=visible,
             visible_fraction=fraction,
             moving=not np.array_equal(before, T_world_object),
@@ -186,12 +195,12 @@ class Scene:
             )
         return int(slots[0])
 
-    def _hull(self, gt_id: int) -> NDArray[np.float64]:
-        """(H, 3) vertices of the convex hull, object axes."""
-        if gt_id not in self._hulls:
-            vertices = self.shape_of(gt_id).vertices
-            self._hulls[gt_id] = vertices[ConvexHull(vertices).vertices].astype(np.float64)
-        return self._hulls[gt_id]
+    def _hull(self, slot: int) -> NDArray[np.float64]:
+        """(H, 3) vertices of the convex hull, the shape's own axes."""
+        if slot not in self._hulls:
+            vertices = self.shapes[slot].vertices
+            self._hulls[slot] = vertices[ConvexHull(vertices).vertices].astype(np.float64)
+        return self._hulls[slot]
 
     @cached_property
     def _truths(self) -> dict[int, ObjectTruth]:

@@ -90,7 +90,7 @@ def samples_of_scene(
         truths = [scene.object_truth(t.gt_id) for t in seen]
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
-        yield make_sample(volume, truths, seen)
+        yield make_sample(volume, truths, seen, scene.others(i))
 
 
 def turned_aside(scene: Scene, yaw: float) -> Scene:

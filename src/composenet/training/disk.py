@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from composenet.errors import DataError
-from composenet.records import Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
+from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
 from composenet.synth.dataset import read_truth
 from composenet.synth.scene import RenderedFrame
 
@@ -47,6 +47,10 @@ class DiskScene:
     def frame_truth(self, i: int, ids: NDArray[np.uint16]) -> tuple[ObjectFrameTruth, ...]:
         """Ground truth of frame i."""
         return self.truth.frames[i]
+
+    def others(self, i: int) -> tuple[Box, ...]:
+        """None: nothing on disk tells of what is no furniture."""
+        return ()
 
     def object_truth(self, gt_id: int) -> ObjectTruth:
         """Ground truth of one object."""

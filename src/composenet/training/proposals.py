@@ -1,4 +1,5 @@
-"""Boxes that training looks at: jittered true boxes, random ones, the detector's own."""
+"""Boxes that training looks at: jittered true boxes, of furniture and of what is none, random ones,
+the detector's own."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from composenet.training.targets import TrainingBatch
 POSITIVE_IOU = 0.25
 """From this box IoU on, a box is taught the object's box, geometry and pose."""
 JITTERED = 1
-"""Jittered copies of every true box."""
+"""Jittered copies of every true box, and of every box of what is no furniture."""
 RANDOM = 1
 """Random boxes a frame, on average."""
 
@@ -62,18 +63,19 @@ class TrainingBoxes:
 def training_boxes(
     batch: TrainingBatch, proposals: Sequence[Proposals], generator: torch.Generator
 ) -> TrainingBoxes:
-    """Jittered boxes of every object, random boxes, and the proposals of every frame."""
+    """Jittered boxes of every object and of every other thing, random boxes, and the proposals of
+    every frame."""
     device = batch.center.device
 
     def noise(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator).to(device)
 
-    rows = torch.arange(len(batch.frame), device=device).repeat(JITTERED)
-    spread = 0.2 * torch.rand(len(rows), 1, generator=generator).to(device)
-    own = batch.extents[rows]
-    frames = [batch.frame[rows]]
-    centers = [batch.center[rows] + spread * own * noise(len(rows), 3)]
-    extents = [own * torch.exp(1.5 * spread * noise(len(rows), 3))]
+    true_center = torch.cat([batch.center, batch.other_boxes[:, :3]]).repeat(JITTERED, 1)
+    true_extents = torch.cat([batch.extents, batch.other_boxes[:, 3:]]).repeat(JITTERED, 1)
+    frames = [torch.cat([batch.frame, batch.other_frame]).repeat(JITTERED)]
+    spread = 0.2 * torch.rand(len(true_center), 1, generator=generator).to(device)
+    centers = [true_center + spread * true_extents * noise(len(true_center), 3)]
+    extents = [true_extents * torch.exp(1.5 * spread * noise(len(true_center), 3))]
     sites = batch.volume.coords
     pick = torch.randint(len(sites), (RANDOM * batch.volume.size,), generator=generator).to(device)
     frames.append(sites[pick, 0])

@@ -14,11 +14,14 @@ from torch.nn import functional as F
 from composenet.geometry.symmetry import ORDER
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.network.batch import CropBatch, VolumeBatch, collate
-from composenet.records import ObjectFrameTruth, ObjectTruth
+from composenet.records import Box, ObjectFrameTruth, ObjectTruth
 from composenet.volume.voxels import Volume
 
 UNKNOWN = -1
 """Label of a remembered voxel of an object that is out of view or has moved away unseen."""
+
+OTHER_VOXELS = 20
+"""What is no furniture counts as visible from this many voxels on."""
 
 SOFT_CELLS = 32
 """Occupancy travels as the filled share of 32^3 cells over the object's own box."""
@@ -26,12 +29,12 @@ SOFT_CELLS = 32
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame for training: its volume and its K visible objects.
+    """One frame for training: its volume, its K visible objects and L visible other things.
 
     gt_id, class_id, symmetry_order: (K,) int64. center, extents: (K, 3) axis-aligned box, grid
     frame, metres. R_grid_object: (K, 3, 3). t: (K, 3) centre of the object's own box, grid frame.
     object_extents: (K, 3). occupancy: (K, 32, 32, 32) uint8, 0..8 filled subcells.
-    visible_pixels: (K,) int64.
+    visible_pixels: (K,) int64. other_boxes: (L, 6) centre and extents, as those of the objects.
     """
 
     volume: Volume
@@ -45,19 +48,21 @@ class Sample:
     object_extents: NDArray[np.float32]
     occupancy: NDArray[np.uint8]
     visible_pixels: NDArray[np.int64]
+    other_boxes: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class TrainingBatch:
-    """B frames with K objects in all.
+    """B frames with K objects and L other things in all.
 
-    frame: (K,) frame of each object. voxel_object: (N,) row of the voxel's object, -1 for none,
-    -2 for what nobody can know.
+    frame: (K,) frame of each object. other_frame: (L,) that of each other thing. voxel_object: (N,)
+    row of the voxel's object, -1 for none, -2 for what nobody can know.
     The rest as in Sample, as tensors; occupancy: (K, 32, 32, 32) float in 0..1.
     """
 
     volume: VolumeBatch
     frame: Tensor
+    other_frame: Tensor
     voxel_object: Tensor
     class_id: Tensor
     symmetry_order: Tensor
@@ -68,6 +73,7 @@ class TrainingBatch:
     object_extents: Tensor
     occupancy: Tensor
     visible_pixels: Tensor
+    other_boxes: Tensor
 
     @property
     def scale_m(self) -> Tensor:
@@ -103,22 +109,33 @@ def forget_moved(
 
 
 def make_sample(
-    volume: Volume, truths: Sequence[ObjectTruth], seen: Sequence[ObjectFrameTruth]
+    volume: Volume,
+    truths: Sequence[ObjectTruth],
+    seen: Sequence[ObjectFrameTruth],
+    others: Sequence[Box] = (),
 ) -> Sample:
-    """Targets of the objects seen in a frame. truths, seen: one entry an object, same order."""
+    """Targets of the objects seen in a frame. truths, seen: one entry an object, same order.
+    others: boxes of what is no furniture; kept are those of which the frame shows something."""
     R_grid_world = volume.T_world_grid[:3, :3].T
     low = volume.T_world_grid[:3, 3]
 
     def rows(values: list, shape: tuple[int, ...], kind: type) -> NDArray:
-        return np.array(values, dtype=kind).reshape(len(seen), *shape)
+        return np.array(values, dtype=kind).reshape(-1, *shape)
 
+    def center(box: Box) -> NDArray[np.float64]:
+        return R_grid_world @ (box.center - low)
+
+    def extents(box: Box) -> NDArray[np.float64]:
+        return np.abs(R_grid_world) @ box.extents
+
+    other_boxes = rows([[*center(b), *extents(b)] for b in others], (6,), np.float32)
     return Sample(
         volume=volume,
         gt_id=rows([f.gt_id for f in seen], (), np.int64),
         class_id=rows([o.class_id for o in truths], (), np.int64),
         symmetry_order=rows([ORDER[o.symmetry] for o in truths], (), np.int64),
-        center=rows([R_grid_world @ (f.box.center - low) for f in seen], (3,), np.float32),
-        extents=rows([np.abs(R_grid_world) @ f.box.extents for f in seen], (3,), np.float32),
+        center=rows([center(f.box) for f in seen], (3,), np.float32),
+        extents=rows([extents(f.box) for f in seen], (3,), np.float32),
         R_grid_object=rows(
             [R_grid_world @ f.T_world_object[:3, :3] for f in seen], (3, 3), np.float32
         ),
@@ -126,7 +143,16 @@ def make_sample(
         object_extents=rows([o.extents_m for o in truths], (3,), np.float32),
         occupancy=rows([soften(o.occupancy) for o in truths], (SOFT_CELLS,) * 3, np.uint8),
         visible_pixels=rows([f.visible_pixels for f in seen], (), np.int64),
+        other_boxes=other_boxes[_shown(volume, other_boxes)],
     )
+
+
+def _shown(volume: Volume, boxes: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(L,) bool: the frame sees OTHER_VOXELS or more in it that are no object's."""
+    free = volume.labels[: volume.n_seen] == 0
+    points = volume.coords[: volume.n_seen][free] * volume.voxel_size_m
+    inside = (np.abs(points - boxes[:, None, :3]) <= boxes[:, None, 3:] / 2).all(axis=2)
+    return inside.sum(axis=1) >= OTHER_VOXELS
 
 
 def soften(occupancy: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -142,7 +168,9 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
         return torch.from_numpy(np.concatenate([getattr(s, name) for s in samples]))
 
     offsets = np.cumsum([0, *[len(s.gt_id) for s in samples]])
-    frame = np.concatenate([np.full(len(s.gt_id), i, np.int64) for i, s in enumerate(samples)])
+    frames = np.arange(len(samples))
+    frame = np.repeat(frames, [len(s.gt_id) for s in samples])
+    other_frame = np.repeat(frames, [len(s.other_boxes) for s in samples])
     voxel_object = []
     for sample, offset in zip(samples, offsets, strict=False):
         row = np.full(max(int(sample.volume.labels.max(initial=0)), *sample.gt_id, 0) + 1, -1)
@@ -152,6 +180,7 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
     return TrainingBatch(
         volume=collate([s.volume for s in samples]),
         frame=torch.from_numpy(frame),
+        other_frame=torch.from_numpy(other_frame),
         voxel_object=torch.from_numpy(np.concatenate(voxel_object)),
         occupancy=join("occupancy").float() / 8,
         **{
@@ -165,6 +194,7 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
                 "t",
                 "object_extents",
                 "visible_pixels",
+                "other_boxes",
             )
         },
     )
