@@ -55,6 +55,30 @@ def test_help_is_instant_and_does_not_import_torch() -> None:
     assert all(name in done.stdout for name in COMMANDS)
 
 
+@pytest.mark.parametrize(("asked", "used"), [(None, "passive"), ("active", "active")])
+def test_threads_wait_asleep_unless_asked_otherwise(
+    asked: str | None, used: str, tmp_path: Path
+) -> None:
+    """Looked up at the first import of torch, which reads it once."""
+    code = (
+        "import os, sys\n"
+        "class Watch:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'torch': sys.exit('torch meets ' + os.environ['OMP_WAIT_POLICY'])\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        "from composenet import cli\n"
+        "cli.main()"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
+    done = subprocess.run(
+        [sys.executable, "-c", code, "demo", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        env=environment | ({"OMP_WAIT_POLICY": asked} if asked else {}),
+    )
+    assert done.stderr == f"torch meets {used}\n"
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself(run, capsys: pytest.CaptureFixture, command: str) -> None:
     assert run(command, "--help") == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -252,7 +253,18 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point."""
+    _wait_asleep()
     sys.exit(_guarded(lambda: parse_command(COMMANDS)))
+
+
+def _wait_asleep() -> None:
+    """Let torch's threads sleep while they wait; to be called before torch is imported.
+
+    By default they spin, and two programs on the same cores take each other's. With
+    OMP_WAIT_POLICY=active in the environment they spin again: faster by a fifth for a program
+    that has the cores to itself.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def _guarded(parse: Callable[[], Any]) -> int:
