@@ -7,10 +7,13 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from composenet.config import Config, DetectionConfig, NetworkConfig, TrackingConfig, VolumeConfig
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch comes in: others compute, too
+settings.register_profile("any machine", deadline=None)  # a busy machine is no wrong answer
+settings.load_profile("any machine")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it for what runs behind
 
 TINY = Config(

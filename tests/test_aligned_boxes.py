@@ -16,7 +16,7 @@ boxes_strategy = st.lists(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(boxes_strategy, boxes_strategy)
 def test_box_iou_equals_the_reference(a: list[tuple], b: list[tuple]) -> None:
     A, B = np.array(a), np.array(b)

@@ -179,7 +179,7 @@ def test_frames_without_colour_have_no_brightness() -> None:
 places = st.tuples(*[st.integers(-(2**20), 2**20 - 1)] * 3)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(places, min_size=1, max_size=60, unique=True), places)
 def test_the_table_finds_what_was_entered(entered: list[tuple[int, int, int]], other) -> None:
     keys, slots = empty_table(128)

@@ -131,7 +131,7 @@ size = st.floats(0.05, 4)
 boxes = st.builds(lambda c, e: box(c, e), st.tuples(*[coordinate] * 3), st.tuples(*[size] * 3))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(boxes, max_size=4), st.lists(boxes, max_size=4))
 def test_pairwise_equals_one_by_one(first, second):
     together = pairwise_iou(first, second)

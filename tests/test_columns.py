@@ -45,7 +45,7 @@ def test_a_block_and_a_table(height: float, x: float, hits: bool) -> None:
     assert turned is hits
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(-0.9, 0.9), st.floats(-0.7, 0.7), st.floats(-3.2, 3.2), st.floats(0.3, 0.9))
 def test_never_misses_what_crosses(x: float, y: float, yaw: float, height: float) -> None:
     """Where columns keep apart, so do the solids."""

@@ -135,7 +135,7 @@ def test_making_furniture_is_quick() -> None:
     rng = np.random.default_rng(0)
     seconds = []
     for index in range(60):
-        begin = time.perf_counter()
+        begin = time.process_time()
         make_furniture(CLASS_NAMES[index % 10], rng)
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
     assert np.median(seconds) < 0.03  # 3 ms on an idle core

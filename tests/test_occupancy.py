@@ -95,7 +95,7 @@ def test_agrees_with_the_slow_reference(name: str) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_thin_boards_and_legs_never_vanish(seed: int) -> None:
     """Parts thinner than a cell or about as thin, turned anyhow: every centre line is marked."""
     rng = np.random.default_rng(seed)

@@ -50,7 +50,7 @@ def test_published_vectors():
 
 
 @given(st.integers(0, 10_000), st.floats(0.05, 20), st.integers(4, 40))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_recovers_a_known_similarity(seed, scale, n):
     g = torch.Generator().manual_seed(seed)
     R, t = random_rotation(g), torch.randn(3, dtype=torch.float64, generator=g)
@@ -62,7 +62,7 @@ def test_recovers_a_known_similarity(seed, scale, n):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_equivariant_under_similarities_of_the_target(seed):
     g = torch.Generator().manual_seed(seed)
     source = torch.randn(1, 12, 3, dtype=torch.float64, generator=g)

@@ -426,7 +426,7 @@ def corrupted(data: bytes, draw: st.DataObject) -> bytes:
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=80, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_no_corruption_crashes_a_reader(kind, originals, tmp_path_factory, data):
     root = tmp_path_factory.mktemp(kind) / "recording"

@@ -180,7 +180,7 @@ tracks_of_one_frame_each = st.lists(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(tracks_of_one_frame_each)
 def test_no_observation_is_lost_or_made_and_none_are_simultaneous(births):
     tracks = [

@@ -87,7 +87,7 @@ def test_a_few_milliseconds():
     points, spacing_m = surface(thing(3.0, 0.0, canonical=block((1, 1, 1)), size=(1, 1, 1)))
     view = frame(0)
     visibility(points, spacing_m, view)
-    start = time.perf_counter()
+    start = time.process_time()
     for _ in range(10):
         visibility(points, spacing_m, view)
-    assert (time.perf_counter() - start) / 10 < 0.05
+    assert (time.process_time() - start) / 10 < 0.05

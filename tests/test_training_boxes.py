@@ -140,7 +140,7 @@ def test_frames_without_objects_have_random_boxes_only() -> None:
     assert len(chosen_objects(boxes, 7, generator())) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(st.integers(0, 7), st.booleans()), max_size=30),
     st.integers(1, 4),

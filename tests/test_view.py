@@ -57,7 +57,7 @@ def test_small_pieces_are_dropped_and_empty_is_none() -> None:
     assert mesh is not None and len(mesh.split(only_watertight=True)) == 2
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.05, 0.9))
 def test_any_grid_gives_a_closed_mesh(seed: int, share: float) -> None:
     grid = np.random.default_rng(seed).random((12, 12, 12)) ** (1 / (share + 0.1))

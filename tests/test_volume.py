@@ -120,7 +120,7 @@ def test_a_lone_pixel_is_noise() -> None:
     assert near == [0, 1]
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(st.integers(1, 3), st.floats(-np.pi, np.pi))
 def test_a_quarter_turn_of_the_world_changes_nothing(quarters: int, yaw: float) -> None:
     view = frame(0, [BOX], yaw)
