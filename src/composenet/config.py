@@ -100,7 +100,7 @@ class TrackingConfig:
     """old : new = 4 : 1 [paper]"""
     min_score: Share = 0.3
     """a weaker proposal is left out of tracking"""
-    min_birth_score: Share = 0.65
+    min_birth_score: Share = 0.5
     """a weaker proposal may continue a track but starts none"""
     min_confidence: Share = 0.65
     """a track is told of from the frame on in which its confidence reaches this"""
