@@ -75,7 +75,6 @@ def samples_of_scene(
     memory = Memory(config.model.volume.memory_frames)
     for place, i in enumerate(times):
         rendered = scene.render(i, color=False)
-        truth = scene.frame_truth(i, rendered.ids)
         frame, ids = rendered.frame, rendered.ids
         if augment:
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
@@ -86,6 +85,7 @@ def samples_of_scene(
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)
+        truth = scene.frame_truth(i, rendered.ids)
         seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
         truths = [scene.object_truth(t.gt_id) for t in seen]
         pairs = zip(truths, seen, strict=True)

@@ -157,8 +157,11 @@ def _shown(volume: Volume, boxes: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 def soften(occupancy: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """(64,)*3 bool -> (32,)*3 count of filled subcells, 0..8."""
-    n = occupancy.shape[0] // 2
-    return occupancy.reshape(n, 2, n, 2, n, 2).sum(axis=(1, 3, 5), dtype=np.uint8)
+    filled = occupancy.view(np.uint8)
+    for axis in range(3):  # a sum over all three at once is many times slower
+        even, odd = (filled.take(range(start, filled.shape[axis], 2), axis) for start in (0, 1))
+        filled = even + odd
+    return filled
 
 
 def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:

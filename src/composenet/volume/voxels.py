@@ -188,16 +188,17 @@ def _accumulate(points, normals, valid, ids, low, size, shape):
     return coords[:n], sums[:n], labels[:n]
 
 
-def _bounds(points: NDArray[np.floating], size: float) -> tuple[NDArray, tuple[int, int, int]]:
-    """Lowest corner (a multiple of the voxel size) and shape (multiples of 16), two voxels of
-    margin; heights kept between 1 m under the floor and 3.2 m."""
-    low, high = _span(points)
+def _bounds(
+    low: NDArray[np.float64], high: NDArray[np.float64], size: float
+) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
+    """Lowest corner (a multiple of the voxel size) and shape (multiples of 16) around what reaches
+    from low to high, two voxels of margin; heights kept between 1 m under the floor and 3.2 m."""
     low, high = low - 2 * size, high + 2 * size
     low[2], high[2] = max(low[2], -1.0), min(max(high[2], 0.5), 3.2)
     low = np.floor(low / size) * size
     cells = np.ceil((high - low) / size).astype(int) + 1
     nx, ny, nz = (int(max(16, -(-c // 16) * 16)) for c in cells)
-    return low.astype(np.float64), (nx, ny, nz)
+    return low, (nx, ny, nz)
 
 
 def voxelize(
@@ -231,8 +232,10 @@ def voxelize(
     if memory is not None:
         old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
     depth_m[depth_m > config.max_depth_m] = 0
-    near = _near(old.points, points[valid], config.memory_reach_m)
-    low, shape = _bounds(np.concatenate([points[valid], old.points[near]]), size)
+    seen_low, seen_high = _span(points, valid)
+    near = _near(old.points, seen_low, seen_high, config.memory_reach_m)
+    old_low, old_high = _span(old.points[None], near[None])
+    low, shape = _bounds(np.minimum(seen_low, old_low), np.maximum(seen_high, old_high), size)
     ids = np.zeros(frame.depth_m.shape, np.int32) if ids is None else ids.astype(np.int32)
     coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
     solid = sums[:, 0] >= config.min_pixels
@@ -271,18 +274,27 @@ def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> 
     return (np.hstack([ones, mean, old.normals]) * old.counts[:, None]).astype(np.float32)
 
 
-def _span(points: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """(3,) lowest and highest coordinates of (M, 3) points; by columns, many times faster."""
-    columns = list(points.T)
-    low, high = [c.min() for c in columns], [c.max() for c in columns]
-    return np.array(low), np.array(high)
+@numba.njit(cache=True, nogil=True)
+def _span(points, wanted):
+    """(3,) float64 lowest and highest coordinates of the wanted ones of (H, W, 3) points; infinite
+    where none is."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for v in range(points.shape[0]):
+        for u in range(points.shape[1]):
+            if wanted[v, u]:
+                for a in range(3):
+                    low[a] = min(low[a], points[v, u, a])
+                    high[a] = max(high[a], points[v, u, a])
+    return low, high
 
 
 def _near(
-    old_points: NDArray[np.float64], seen: NDArray[np.float32], reach_m: float
+    old_points: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    reach_m: float,
 ) -> NDArray[np.bool_]:
-    """(M,) bool: within reach of the bounds of what is seen, and in the grid's heights."""
-    low, high = _span(seen)
+    """(M,) bool: within reach of what reaches from low to high, and in the grid's heights."""
     low, high = low - reach_m, high + reach_m
     low[2], high[2] = max(low[2], -1.0), min(high[2], 3.2)
     return np.all((old_points >= low) & (old_points <= high), axis=1)
