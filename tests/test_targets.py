@@ -96,6 +96,14 @@ def test_soften_counts_filled_subcells() -> None:
     assert (soft[0, 0, 0], soft[1, 1, 1], soft.sum()) == (1, 8, 9)
 
 
+def test_soften_against_a_sum_over_blocks() -> None:
+    filled = np.random.default_rng(0).random((64, 64, 64)) < np.linspace(0, 1, 64)
+    slow = filled.reshape(32, 2, 32, 2, 32, 2).sum(axis=(1, 3, 5))
+    soft = soften(filled)
+    assert soft.dtype == np.uint8 and soft.max() == 8
+    np.testing.assert_array_equal(soft, slow)
+
+
 def test_targets_are_in_the_grid() -> None:
     batch, volume = one_object(), volume_of()
     assert batch.frame.tolist() == [1]
