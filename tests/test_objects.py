@@ -14,7 +14,7 @@ from composenet.geometry.box import OrientedBox, aabb_of_oriented
 from composenet.geometry.transform import angle_between_deg, make_T, rotation_z
 from composenet.network.batch import CropBatch, VolumeBatch, collate
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import HEADING_BINS, ObjectFields
+from composenet.network.object_net import HEADING_BINS, ObjectFields, scatter_features
 from composenet.objects import estimate_objects
 from composenet.records import CLASS_NAMES, ObjectEstimate
 from composenet.volume.memory import FreeSpace
@@ -255,3 +255,17 @@ def test_classes_are_the_detectors_and_the_network_is_told_them() -> None:
     (found,) = estimated(volume, oracle, proposals)
     np.testing.assert_allclose(found.class_probabilities, proposals.class_probabilities[0])
     assert torch.equal(oracle.told[0], proposals.class_probabilities)
+
+
+def test_scattering_against_a_slow_loop() -> None:
+    g = torch.Generator().manual_seed(0)
+    features, relative = (torch.rand(*shape, generator=g) for shape in ((40, 3), (2, 40, 3)))
+    inside = torch.rand(2, 40, generator=g) < 0.7
+    expected = torch.zeros(2, 3, 4, 4, 4)
+    for index in range(2):
+        for cell in np.ndindex(4, 4, 4):
+            here = inside[index] & ((relative[index] * 4).long() == torch.tensor(cell)).all(dim=1)
+            if here.any():
+                expected[(index, slice(None), *cell)] = features[here].mean(dim=0)
+    assert 0 < (expected != 0).float().mean() < 0.5  # some cells hold voxels, some none
+    torch.testing.assert_close(scatter_features(features, relative, inside, 4), expected)
