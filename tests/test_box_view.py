@@ -1,4 +1,4 @@
-"""What the depth image shows of a box: places, relief, mirror images, boxes it cannot see."""
+"""What the images show of a box: places, relief, colour, mirror images, boxes they cannot see."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from composenet.network.batch import VolumeBatch
+from composenet.network.batch import NO_COLOR, VolumeBatch
 from composenet.network.box_view import N_VIEW_CHANNELS, VIEW_PIXELS, BoxView, view_inputs
 from composenet.volume.voxels import FEATURE_NAMES
 
 EYE = torch.tensor([0.2, 1.5, 1.0])
-PLACE, INSIDE, KNOWN, RELIEF, DEPTH = slice(0, 3), 3, 4, 5, 6
+PLACE, INSIDE, KNOWN, RELIEF, DEPTH, COLOR = slice(0, 3), 3, 4, 5, 6, slice(7, 10)
 
 
 def looking_along_x(depth_m: np.ndarray) -> VolumeBatch:
@@ -34,6 +34,7 @@ def looking_along_x(depth_m: np.ndarray) -> VolumeBatch:
         free=torch.zeros(count, 1, 1, 1, dtype=torch.bool),
         free_low=torch.zeros(count, 3),
         depth_m=depth,
+        color=torch.full((*depth.shape, 3), NO_COLOR, dtype=torch.uint8),
         K=K.float().expand(count, 3, 3),
         T_camera_grid=T.expand(count, 4, 4),
         floor_z=torch.zeros(count),
@@ -47,11 +48,23 @@ def wall(distance_m: float = 2.0, width: int = 320) -> np.ndarray:
 
 
 def look(
-    batch: VolumeBatch, center: list[float], extents: list[float], frame: int = 0
+    batch: VolumeBatch,
+    center: list[float],
+    extents: list[float],
+    frame: int = 0,
+    color: bool = False,
 ) -> torch.Tensor:
     """The view of one box."""
     boxes = (torch.tensor([frame]), torch.tensor([center]), torch.tensor([extents]))
-    return view_inputs(batch, *boxes)[0]
+    return view_inputs(batch, *boxes, color)[0]
+
+
+def painted(batch: VolumeBatch, seed: int = 0) -> VolumeBatch:
+    """The batch with any colours, smooth over eight columns."""
+    g = torch.Generator().manual_seed(seed)
+    count, height, width = batch.depth_m.shape
+    columns = torch.randint(0, 256, (count, 1, width // 8, 3), generator=g).byte()
+    return replace(batch, color=columns.repeat_interleave(8, dim=2).expand(count, height, width, 3))
 
 
 def test_a_pixel_knows_its_place_in_the_box() -> None:
@@ -103,6 +116,32 @@ def test_the_resolution_of_the_image_hardly_matters() -> None:
     assert (views[0] - views[1]).abs().mean() < 0.02
 
 
+def test_colours_are_seen_where_they_are() -> None:
+    batch = looking_along_x(wall())
+    box = ([2.4, 1.5, 1.0], [0.5, 0.6, 0.6])
+    grey = look(batch, *box, color=True)
+    assert grey.shape[0] == N_VIEW_CHANNELS + 3
+    torch.testing.assert_close(grey[:N_VIEW_CHANNELS], look(batch, *box))
+    assert grey[COLOR].abs().amax() < 0.01
+    color = torch.zeros_like(batch.color)
+    color[:, :, :160, 0], color[:, :, 160:, 2] = 255, 255  # red left of the line of sight
+    seen = look(replace(batch, color=color), *box, color=True)[COLOR]
+    left = torch.tensor([1.0, -1, -1])[:, None, None].expand(3, VIEW_PIXELS, 14)
+    torch.testing.assert_close(seen[:, :, :14], left)
+    torch.testing.assert_close(seen[:, :, -14:], left.flip(0))
+
+
+def test_colours_are_mirrored_with_the_rest() -> None:
+    batch = painted(looking_along_x(wall()))
+    image = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0]))
+    image[1, 3] = 3.1
+    mirrored = replace(batch, T_camera_grid=batch.T_camera_grid @ image)
+    seen = look(batch, [2.3, 1.8, 1.1], [0.5, 0.7, 0.9], color=True)[COLOR]
+    other = look(mirrored, [2.3, 3.1 - 1.8, 1.1], [0.5, 0.7, 0.9], color=True)[COLOR]
+    assert seen.std() > 0.2
+    torch.testing.assert_close(other, seen.flip(2))
+
+
 def test_each_box_is_seen_in_its_own_frame() -> None:
     batch = looking_along_x(np.concatenate([wall(2.0), wall(3.0)]))
     near, far = (look(batch, [2.4, 1.5, 1.0], [0.5, 0.5, 0.5], frame) for frame in (0, 1))
@@ -138,13 +177,15 @@ def test_boxes_do_not_disturb_each_other() -> None:
         torch.testing.assert_close(together[i : i + 1], alone, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize("color", [False, True])
 @pytest.mark.parametrize("count", [0, 3])
-def test_gradients_reach_every_layer(count: int) -> None:
+def test_gradients_reach_every_layer(count: int, color: bool) -> None:
     torch.manual_seed(0)
-    net = BoxView(8)
+    net = BoxView(8, color)
     where = torch.tensor([[2.3, 1.5, 1.0], [2.2, 1.2, 0.9], [2.6, 1.9, 1.2]])[:count]
     frame = torch.zeros(count, dtype=torch.long)
-    net(looking_along_x(wall()), frame, where, torch.full((count, 3), 0.6)).sum().backward()
+    batch = painted(looking_along_x(wall()))
+    net(batch, frame, where, torch.full((count, 3), 0.6)).sum().backward()
     gradients = [parameter.grad for parameter in net.parameters()]
     assert all(g is not None and torch.isfinite(g).all() for g in gradients)
     assert count == 0 or all(g.abs().sum() > 0 for g in gradients if g is not None)

@@ -296,6 +296,7 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
             torch.zeros(1, 0, 0, 0, dtype=torch.bool),
             torch.zeros(1, 3),
             depth,
+            torch.zeros(*depth.shape, 3, dtype=torch.uint8),
             K,
             (look @ torch.linalg.inv(turn))[None],
             torch.zeros(1),

@@ -149,6 +149,10 @@ def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
     np.testing.assert_array_equal(ours.frame.T_world_camera, theirs.frame.T_world_camera)
     for a, b in zip(stored.frame_truth(4, ours.ids), scene.frame_truth(4, theirs.ids), strict=True):
         assert (a.gt_id, a.visible_pixels) == (b.gt_id, b.visible_pixels)
+    assert ours.frame.color is None
+    stored_color = stored.render(4, color=True).frame.color
+    with Image.open(stored.folder / "color" / "4.jpg") as image:
+        np.testing.assert_array_equal(stored_color, np.asarray(image))
     assert Image.open(stored.folder / "depth" / "4.png").size == (160, 120)
 
 
@@ -199,12 +203,41 @@ def test_some_cameras_look_aside_in_training_alone(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:
-    whole = disk_scene(recordings, 0).render(0)
+    whole = disk_scene(recordings, 0).render(0, color=True)
     view, _ = crop_view(whole.frame, whole.ids, np.random.default_rng(0))
     kept = view.depth_m > 0
     assert 0 < kept.sum() < (whole.frame.depth_m > 0).sum()
     np.testing.assert_array_equal(view.depth_m[kept], whole.frame.depth_m[kept])
     np.testing.assert_array_equal(view.camera.K, whole.frame.camera.K)
+    assert view.color is not None and whole.frame.color is not None
+    np.testing.assert_array_equal(view.color[kept], whole.frame.color[kept])
+    assert (view.color == 0).mean() > 0.05
+
+
+def test_colours_vary_in_training() -> None:
+    rng = np.random.default_rng(0)
+    image = np.array([[200, 60, 20], [90, 90, 90]], np.uint8).repeat(400, axis=0)[None]
+    assert data.vary_color(None, rng) is None
+    seen = [data.vary_color(image, rng) for _ in range(300)]
+    given = [s for s in seen if s is not None]
+    assert abs(len(given) / 300 - (1 - data.NO_COLORS)) < 0.06
+    assert all(s.dtype == np.uint8 and s.shape == image.shape for s in given)
+    red, grey = (np.array([s[0, i : i + 400].mean(axis=0) for s in given]) for i in (0, 400))
+    order = red.argmax(axis=1)  # the reddest channel is another one where hues were exchanged
+    assert 0.05 < (order != 0).mean() < 0.3
+    assert (np.ptp(red / grey, axis=1) < 0.5).mean() == pytest.approx(data.GREY, abs=0.07)
+    assert np.ptp(grey.mean(axis=1)) > 60  # exposure
+    same = [data.vary_color(image, np.random.default_rng(5)) for _ in range(2)]
+    assert same[0] is not None and same[1] is not None and (same[0] == same[1]).all()
+
+
+def test_colours_are_drawn_where_the_network_sees_them(recordings: Path) -> None:
+    scene = disk_scene(recordings, 0)
+    for use_color in (False, True):
+        model = replace(TINY, network=replace(TINY.network, use_color=use_color))
+        config = replace(CONFIG, model=model, frames_per_scene=50)
+        samples = samples_of_scene(scene, config, np.random.default_rng(0), augment=False)
+        assert {s.volume.color is not None for s in samples} == {use_color}
 
 
 class Drawn:

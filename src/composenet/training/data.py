@@ -37,6 +37,9 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
+NO_COLORS, GREY, OTHER_HUES = 0.15, 0.15, 0.2
+"""Shares of the samples without a colour image, and, of the others, of those without hues and,
+of the rest, with red, green and blue in another order."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -73,11 +76,13 @@ def samples_of_scene(
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
+    colorful = config.model.network.use_color
     for place, i in enumerate(times):
-        rendered = scene.render(i, color=False)
+        rendered = scene.render(i, color=colorful and place in taken)
         frame, ids = rendered.frame, rendered.ids
         if augment:
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
+            frame = replace(frame, color=vary_color(frame.color, rng))
             if rng.random() < 0.3:
                 frame, ids = crop_view(frame, ids, rng)
         volume = voxelize(frame, config.model.volume, ids, memory)
@@ -130,8 +135,28 @@ def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[
     u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
     depth = np.zeros_like(frame.depth_m)
     depth[v : v + h, u : u + w] = frame.depth_m[v : v + h, u : u + w]
-    camera = Camera(frame.camera.K, width, height)
-    return replace(frame, depth_m=depth, camera=camera), ids
+    camera, color = Camera(frame.camera.K, width, height), frame.color
+    if color is not None:
+        color = np.zeros_like(color)
+        color[v : v + h, u : u + w] = np.asarray(frame.color)[v : v + h, u : u + w]
+    return replace(frame, depth_m=depth, camera=camera, color=color), ids
+
+
+def vary_color(
+    color: NDArray[np.uint8] | None, rng: np.random.Generator
+) -> NDArray[np.uint8] | None:
+    """Other exposure, white balance and noise; now and then grey, other hues or none at all: a
+    colour says where things end more surely than what they are."""
+    if color is None or rng.random() < NO_COLORS:
+        return None
+    image = color.astype(np.float32) / 255
+    if rng.random() < GREY:
+        image = image.mean(axis=2, keepdims=True).repeat(3, axis=2)
+    elif rng.random() < OTHER_HUES:
+        image = image[..., rng.permutation(3)]
+    image = image ** rng.uniform(0.7, 1.4) * rng.uniform(0.8, 1.2, 3) * rng.uniform(0.7, 1.2)
+    image += rng.normal(0, 0.02, image.shape)
+    return (255 * image.clip(0, 1)).astype(np.uint8)
 
 
 class SceneStream(IterableDataset):

@@ -13,6 +13,7 @@ from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
 from composenet.training.losses import box_losses, detection_losses, object_losses
 from composenet.training.proposals import chosen_objects, training_boxes
+from composenet.training.silent import watched
 from composenet.training.targets import TrainingBatch
 
 COUNTED_PIXELS = 150
@@ -26,32 +27,36 @@ def validate(
     device: torch.device,
 ) -> dict[str, float]:
     """Mean losses; completion and pose on jittered true boxes; recall, precision and class
-    accuracy of the proposals at box IoU 0.25 (class ignored for the first two)."""
+    accuracy of the proposals at box IoU 0.25 (class ignored for the first two); silent share of the
+    network's channels."""
     network.eval()
     sums: dict[str, list[float]] = defaultdict(list)
     counts = torch.zeros(5)
     generator = torch.Generator().manual_seed(0)
-    for batch in batches:
-        batch = batch.to(device)
-        fields = network.voxel_fields(batch.volume)
-        boxes = training_boxes(batch, (), generator)
-        at = network.box_fields(fields, batch.volume, boxes.center, boxes.extents, boxes.frame)
-        chosen = chosen_objects(boxes, config.max_crops, generator)
-        objects = network.object_fields(
-            fields,
-            batch.volume,
-            boxes[chosen].crops(config.model.network.crop_margin),
-            at.class_logits[chosen].softmax(dim=1),
-        )
-        losses, errors = object_losses(objects, batch, boxes.rows[chosen])
-        losses |= box_losses(at, batch, boxes)
-        for name, value in (detection_losses(fields, batch) | losses).items():
-            sums[name].append(float(value))
-        for name, values in vars(errors).items():
-            sums[name].extend(values.tolist())
-        proposals = propose(fields, batch.volume, config.model.detection)
-        proposals = second_look(network, fields, batch.volume, proposals, config.model.detection)
-        counts += _count(proposals, batch)
+    with watched(network) as channels:
+        for batch in batches:
+            batch = batch.to(device)
+            fields = network.voxel_fields(batch.volume)
+            boxes = training_boxes(batch, (), generator)
+            at = network.box_fields(fields, batch.volume, boxes.center, boxes.extents, boxes.frame)
+            chosen = chosen_objects(boxes, config.max_crops, generator)
+            objects = network.object_fields(
+                fields,
+                batch.volume,
+                boxes[chosen].crops(config.model.network.crop_margin),
+                at.class_logits[chosen].softmax(dim=1),
+            )
+            losses, errors = object_losses(objects, batch, boxes.rows[chosen])
+            losses |= box_losses(at, batch, boxes)
+            for name, value in (detection_losses(fields, batch) | losses).items():
+                sums[name].append(float(value))
+            for name, values in vars(errors).items():
+                sums[name].extend(values.tolist())
+            proposals = propose(fields, batch.volume, config.model.detection)
+            proposals = second_look(
+                network, fields, batch.volume, proposals, config.model.detection
+            )
+            counts += _count(proposals, batch)
     network.train()
     found, true, proposed, right_class, tight = counts.tolist()
     result = {name: sum(v) / max(1, len(v)) for name, v in sums.items()}
@@ -62,6 +67,7 @@ def validate(
         "precision25": found / max(1, proposed),
         "recall50": tight / max(1, true),
         "class_accuracy": right_class / max(1, found),
+        "silent": channels.share(),
     }
 
 
