@@ -119,7 +119,7 @@ def _cells(
 
 
 class BoxView(nn.Module):
-    """Views of boxes -> (M, c_out) features >= 0."""
+    """Views of boxes -> (M, c_out) features."""
 
     def __init__(self, c_out: int, color: bool = False) -> None:
         super().__init__()
@@ -135,7 +135,7 @@ class BoxView(nn.Module):
             *convolution(32, 48, 2),
             nn.Flatten(),
             nn.Linear(48 * (VIEW_PIXELS // 8) ** 2, c_out),
-            nn.ReLU(),
+            nn.LayerNorm(c_out) if color else nn.ReLU(),  # the ReLU falls silent in training
         )
 
     def forward(self, batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor) -> Tensor:
