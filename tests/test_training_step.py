@@ -30,6 +30,7 @@ def changed(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> 
     return parts
 
 
+SAME_FOR_ALL_BINS = {"heading.score.3.bias"}  # a softmax does not feel it: its gradient is rounding
 DETECTOR_LOSSES = {"objectness", "center", "extent", "class", "box", "box_class", "quality"}
 
 
@@ -42,6 +43,7 @@ def test_only_the_object_network_learns(recordings: Path, tmp_path: Path, joint:
     parts = changed(before, state_of(trainer))
     assert not parts["backbone"] and not parts["detection"] and not parts["boxes"]
     learned = {name for name, _ in trainer.module.network.objects.named_parameters()}
+    learned -= SAME_FOR_ALL_BINS
     assert learned < parts["objects"]  # and the running statistics
     assert not DETECTOR_LOSSES & set(values[0])
     assert (set(OBJECT_LOSSES) <= set(values[0])) == joint
