@@ -82,7 +82,7 @@ def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
     for part, names in parts.items():
         learned = {name for name, _ in getattr(trainer.module.network, part).named_parameters()}
         assert learned <= names, part
-    assert len(parts) == 4 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
+    assert len(parts) == 5 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
 
 
 @pytest.mark.parametrize("parts", ["all", "detector", "boxes", "objects"])

@@ -9,6 +9,7 @@ all voxels of a box at once corrects boxes that hug the visible part.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import torch
@@ -65,24 +66,26 @@ class BoxHead(nn.Module):
 
     def __init__(self, c_features: int, n_classes: int, color: bool = False) -> None:
         super().__init__()
+        # of a ReLU over many inputs >= 0 half the units fall silent in training
+        unit = partial(nn.LeakyReLU, 0.01) if color else nn.ReLU
         self.voxel = nn.Linear(c_features, 64)  # once a voxel, however many boxes it is in
         self.place = nn.Linear(11, 64)
         self.point = nn.Sequential(
-            nn.LayerNorm(64), nn.ReLU(), nn.Linear(64, 128), nn.LayerNorm(128), nn.ReLU()
+            nn.LayerNorm(64), unit(), nn.Linear(64, 128), nn.LayerNorm(128), unit()
         )
         self.space = nn.Sequential(
             nn.Conv3d(N_CHANNELS, 16, 3, padding=1),
-            nn.ReLU(),
+            unit(),
             nn.Conv3d(16, 32, 3, stride=2, padding=1),
-            nn.ReLU(),
+            unit(),
             nn.Flatten(),
             nn.Linear(32 * (SPACE_CELLS // 2) ** 3, 64),
-            nn.ReLU(),
+            unit(),
         )
         self.view = BoxView(64, color)
         self.box = nn.Sequential(
             nn.Linear(2 * 128 + 5 + n_classes + 64 + 64, 128),
-            nn.ReLU(),
+            unit(),
             nn.Linear(128, 7 + n_classes),
         )
         nn.init.zeros_(cast(nn.Linear, self.box[2]).weight)  # at first the box as it is

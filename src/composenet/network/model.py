@@ -10,6 +10,7 @@ from composenet.network.backbone import Backbone
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import BoxFields, BoxHead
 from composenet.network.detection_head import DetectionHead, VoxelFields
+from composenet.network.image_encoder import ImageEncoder
 from composenet.network.object_net import ObjectFields, ObjectNet, Teacher, likeliest_heading
 from composenet.network.sparse import build_pyramid
 from composenet.records import CLASS_NAMES
@@ -26,8 +27,12 @@ class ComposeNet(nn.Module):
                 "configuration: backbone_blocks and backbone_channels need one entry a stride each"
             )
         self.config, self.volume_config = network, volume
+        self.images = ImageEncoder() if network.use_color else None
         self.backbone = Backbone(
-            len(FEATURE_NAMES), network.backbone_channels, network.backbone_blocks
+            len(FEATURE_NAMES),
+            network.backbone_channels,
+            network.backbone_blocks,
+            self.images.c_out if self.images else 0,
         )
         self.detection = DetectionHead(self.backbone.c_out, len(CLASS_NAMES))
         self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES), network.use_color)
@@ -36,7 +41,8 @@ class ComposeNet(nn.Module):
     def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
         """Backbone and detection heads on every surface voxel."""
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
-        return self.detection(self.backbone(batch.features, levels))
+        image = self.images(batch) if self.images else None
+        return self.detection(self.backbone(batch.features, levels, image))
 
     def box_fields(
         self,

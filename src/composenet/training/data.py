@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch.utils.data import IterableDataset, get_worker_info
 
-from composenet.geometry.transform import make_T, rotation_z
-from composenet.records import Camera, Frame
+from composenet.geometry.transform import rotation_z
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
+from composenet.training.augment import crop_view, small_motion, vary_color
 from composenet.training.config import TrainingConfig
 from composenet.training.disk import DiskScene, disk_scene
 from composenet.training.targets import (
@@ -37,9 +35,6 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
-NO_COLORS, GREY, OTHER_HUES = 0.15, 0.15, 0.2
-"""Shares of the samples without a colour image, and, of the others, of those without hues and,
-of the rest, with red, green and blue in another order."""
 POOL_BATCHES = 6
 """A worker mixes the frames of this many batches."""
 
@@ -120,43 +115,6 @@ def walk(n_frames: int, n_samples: int, rng: np.random.Generator, long_share: fl
     start = int(rng.integers(0, max(step, n_frames - step * LONGEST_WALK + 1)))
     there = list(range(start, n_frames, step)[:LONGEST_WALK])
     return there + there[-2::-1] if back else there
-
-
-def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:
-    """(4, 4): how wrong a camera pose may be, about a centimetre and a quarter of a degree."""
-    turn = Rotation.from_rotvec(np.radians(0.25) * rng.standard_normal(3)).as_matrix()
-    return make_T(turn, 0.008 * rng.standard_normal(3))
-
-
-def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:
-    """Blank everything outside a random window: narrower views and objects cut by the border."""
-    height, width = frame.depth_m.shape
-    w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))
-    u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
-    depth = np.zeros_like(frame.depth_m)
-    depth[v : v + h, u : u + w] = frame.depth_m[v : v + h, u : u + w]
-    camera, color = Camera(frame.camera.K, width, height), frame.color
-    if color is not None:
-        color = np.zeros_like(color)
-        color[v : v + h, u : u + w] = np.asarray(frame.color)[v : v + h, u : u + w]
-    return replace(frame, depth_m=depth, camera=camera, color=color), ids
-
-
-def vary_color(
-    color: NDArray[np.uint8] | None, rng: np.random.Generator
-) -> NDArray[np.uint8] | None:
-    """Other exposure, white balance and noise; now and then grey, other hues or none at all: a
-    colour says where things end more surely than what they are."""
-    if color is None or rng.random() < NO_COLORS:
-        return None
-    image = color.astype(np.float32) / 255
-    if rng.random() < GREY:
-        image = image.mean(axis=2, keepdims=True).repeat(3, axis=2)
-    elif rng.random() < OTHER_HUES:
-        image = image[..., rng.permutation(3)]
-    image = image ** rng.uniform(0.7, 1.4) * rng.uniform(0.8, 1.2, 3) * rng.uniform(0.7, 1.2)
-    image += rng.normal(0, 0.02, image.shape)
-    return (255 * image.clip(0, 1)).astype(np.uint8)
 
 
 class SceneStream(IterableDataset):

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 SILENT = 0.01
 """A channel is silent whose output varies by less than this share of the layer's liveliest."""
 
-_WATCHED = (nn.BatchNorm1d, nn.BatchNorm3d, nn.GroupNorm, nn.LayerNorm, nn.ReLU)
+_WATCHED = (nn.BatchNorm1d, nn.BatchNorm3d, nn.GroupNorm, nn.LayerNorm, nn.ReLU, nn.LeakyReLU)
 
 
 class Channels:
