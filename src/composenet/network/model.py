@@ -38,10 +38,12 @@ class ComposeNet(nn.Module):
         self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES), network.use_color)
         self.objects = ObjectNet(self.backbone.c_out, network.object_channels, len(CLASS_NAMES))
 
-    def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
-        """Backbone and detection heads on every surface voxel."""
+    def voxel_fields(self, batch: VolumeBatch, image: Tensor | None = None) -> VoxelFields:
+        """Backbone and detection heads on every surface voxel. image: what self.images says of the
+        batch, where that is known already."""
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
-        image = self.images(batch) if self.images else None
+        if image is None and self.images:
+            image = self.images(batch)
         return self.detection(self.backbone(batch.features, levels, image))
 
     def box_fields(
