@@ -1,9 +1,9 @@
 """What the images say of every voxel: seams, edges and textures that no surface shows.
 
 A cabinet flush with the wall is a wall to every voxel of it; its colour and its seams tell. A small
-encoder-decoder looks at the colour and depth images, and every voxel the frame sees takes what was
-made of its pixel (image features lifted to voxels as in 3D-SIS, Hou et al. 2019). The paper sees
-depth alone.
+encoder-decoder looks at the colour image, and every voxel the frame sees takes what was made of its
+pixel (image features lifted to voxels as in 3D-SIS, Hou et al. 2019). It is not shown depth, which
+voxels have: what sees both learns nothing of colour for long. The paper sees depth alone.
 """
 
 from __future__ import annotations
@@ -19,25 +19,12 @@ IMAGE_WIDTH = 320
 CELL_PIXELS = 4
 """Pixels a side, of images that wide, for each of which there are features."""
 _CHANNELS = (16, 32, 48, 64)  # at 1/2, 1/4, 1/8 and 1/16
-_RELIEF_PIXELS = 7  # relief is depth against its mean in a square of so many pixels
-_RELIEF_M = 0.05  # and counts in units of this
 
 
 def image_inputs(batch: VolumeBatch) -> Tensor:
-    """(B, 6, H, W): colour, -1..1, depth / 4 m, whether it is known, and relief; averaged down, and
-    turned round in a mirror image."""
-    step = _step(batch)
-    depth = batch.depth_m[:, None]
-    known = (depth > 0).to(depth.dtype)
-    share = F.avg_pool2d(known, step)
-    depth = F.avg_pool2d(depth, step) / share.clamp_min(1e-6)
-    known = (share > 0).to(depth.dtype)
-    square = (_RELIEF_PIXELS, 1, _RELIEF_PIXELS // 2)
-    around = F.avg_pool2d(depth * known, *square) / F.avg_pool2d(known, *square).clamp_min(1e-6)
-    relief = ((depth - around) / _RELIEF_M).clamp(-1, 1) * known
-    color = batch.color.permute(0, 3, 1, 2).to(depth.dtype)
-    color = F.avg_pool2d(color, step) / 127.5 - 1
-    images = torch.cat([color, depth / 4, known, relief], dim=1)
+    """(B, 3, H, W) colour, -1..1, averaged down, and turned round in a mirror image."""
+    color = batch.color.permute(0, 3, 1, 2).to(batch.depth_m.dtype)
+    images = F.avg_pool2d(color, _step(batch)) / 127.5 - 1
     return torch.where(_mirrored(batch)[:, None, None, None], images.flip(3), images)
 
 
@@ -79,7 +66,7 @@ class ImageEncoder(nn.Module):
 
         a, b, c, d = _CHANNELS
         self.c_out = b
-        self.fine = nn.Sequential(unit(6, a, 2), unit(a, a), unit(a, b, 2), unit(b, b))
+        self.fine = nn.Sequential(unit(3, a, 2), unit(a, a), unit(a, b, 2), unit(b, b))
         self.middle = nn.Sequential(unit(b, c, 2), unit(c, c))
         self.coarse = nn.Sequential(unit(c, d, 2), unit(d, d), unit(d, d))
         self.middle_up, self.fine_up = unit(d + c, c), unit(c + b, b)
