@@ -41,22 +41,12 @@ def scene(seed: int = 0, voxels: int = 400) -> tuple[VoxelFields, VolumeBatch]:
     fields = VoxelFields(noise(n, F), noise(n), 3 * noise(n, 3), noise(n, 3), noise(n, N_CLASSES))
     eye = torch.eye(4).double().expand(2, 4, 4)
     floor_z = torch.tensor([-0.1, 0.2]).double()
-    depth, color = torch.zeros(2, 4, 4).double(), torch.zeros(2, 4, 4, 3, dtype=torch.uint8)
+    depth = torch.zeros(2, 4, 4).double()
     seen = torch.zeros(n, dtype=torch.bool)
     free = torch.rand(2, 8, 8, 8, generator=g) < 0.5
     K = eye[:, :3, :3]
     return fields, VolumeBatch(
-        coords,
-        fields.features,
-        seen,
-        free,
-        0.2 * noise(2, 3),
-        depth,
-        color,
-        K,
-        eye,
-        floor_z,
-        SIZE_M,
+        coords, fields.features, seen, free, 0.2 * noise(2, 3), depth, K, eye, floor_z, SIZE_M
     )
 
 

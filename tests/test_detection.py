@@ -128,11 +128,10 @@ def field_of(things: Sequence[Thing], frames: int = 1) -> tuple[VoxelFields, Vol
     )
     eye = torch.eye(4).expand(frames, 4, 4)
     depth = torch.zeros(frames, 4, 4)
-    color = torch.zeros(frames, 4, 4, 3, dtype=torch.uint8)
     seen = torch.zeros(len(coords), dtype=torch.bool)
     batch = VolumeBatch(
-        coords, fields.features, seen, depth[..., None] > 0, eye[:, 0, :3], depth, color,
-        eye[:, :3, :3], eye, depth[:, 0, 0], VOXEL_M,
+        coords, fields.features, seen, depth[..., None] > 0, eye[:, 0, :3], depth, eye[:, :3, :3],
+        eye, depth[:, 0, 0], VOXEL_M,
     )  # fmt: skip
     return fields, batch
 

@@ -45,7 +45,6 @@ def scene() -> VolumeBatch:
         free=torch.rand(2, 17, 13, 9, generator=g) < 0.5,
         free_low=torch.rand(2, 3, generator=g) - 0.7,
         depth_m=2 * torch.rand(2, 6, 6, generator=g),
-        color=torch.randint(0, 256, (2, 6, 6, 3), generator=g).byte(),
         K=K.expand(2, 3, 3),
         T_camera_grid=T_camera_grid.expand(2, 4, 4),
         floor_z=torch.tensor([-0.1, 0.2]),

@@ -20,7 +20,6 @@ from composenet.training.losses import (
     detection_losses,
     heading_bins,
     heading_teacher,
-    image_losses,
     object_losses,
     valid_headings,
 )
@@ -222,23 +221,6 @@ def test_perfect_voxels_cost_nothing_and_frames_without_objects_are_fine() -> No
     sum(losses.values()).backward()
 
 
-def test_images_answer_for_what_they_show_alone() -> None:
-    batch = one_object()
-    on = batch.voxel_object >= 0
-    classes = 40.0 * torch.nn.functional.one_hot(batch.class_id, 10).expand(80, 10)
-    said = torch.cat([torch.where(on, 20.0, -20.0)[:, None], classes], dim=1)
-    for name, value in image_losses(said, batch).items():
-        assert value.item() < 1e-5, name
-    forgotten = torch.zeros_like(on)
-    forgotten[torch.nonzero(on)[:5]] = forgotten[torch.nonzero(~on)[:5]] = True
-    wrong = torch.where(forgotten[:, None], -said, said)
-    volume = replace(batch.volume, remembered=forgotten)
-    for name, value in image_losses(wrong, batch).items():
-        assert value.item() > 1, name
-    for name, value in image_losses(wrong, replace(batch, volume=volume)).items():
-        assert value.item() < 1e-5, name
-
-
 def aligned() -> tuple[TrainingBatch, ObjectFields]:
     """A crop whose cells are those of the stored occupancy, so that none is half filled."""
     batch = one_object(yaw=0.0)
@@ -314,7 +296,6 @@ def test_heading_scores_turn_with_the_object(bins: int) -> None:
             torch.zeros(1, 0, 0, 0, dtype=torch.bool),
             torch.zeros(1, 3),
             depth,
-            torch.zeros(*depth.shape, 3, dtype=torch.uint8),
             K,
             (look @ torch.linalg.inv(turn))[None],
             torch.zeros(1),

@@ -22,11 +22,10 @@ from composenet.config import dump
 from composenet.errors import DataError, WeightsError
 from composenet.network.weights import load_weights
 from composenet.synth.scene import generate_scene
-from composenet.training import augment, data, loop
-from composenet.training.augment import crop_view, vary_color
+from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig
-from composenet.training.data import SceneSource, SceneStream, samples_of_scene
+from composenet.training.data import SceneSource, SceneStream, crop_view, samples_of_scene
 from composenet.training.disk import disk_scene
 from composenet.training.loop import Trainer, learning_rate, train
 from composenet.training.processes import StopRequest
@@ -150,10 +149,6 @@ def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
     np.testing.assert_array_equal(ours.frame.T_world_camera, theirs.frame.T_world_camera)
     for a, b in zip(stored.frame_truth(4, ours.ids), scene.frame_truth(4, theirs.ids), strict=True):
         assert (a.gt_id, a.visible_pixels) == (b.gt_id, b.visible_pixels)
-    assert ours.frame.color is None
-    stored_color = stored.render(4, color=True).frame.color
-    with Image.open(stored.folder / "color" / "4.jpg") as image:
-        np.testing.assert_array_equal(stored_color, np.asarray(image))
     assert Image.open(stored.folder / "depth" / "4.png").size == (160, 120)
 
 
@@ -204,58 +199,12 @@ def test_some_cameras_look_aside_in_training_alone(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:
-    whole = disk_scene(recordings, 0).render(0, color=True)
+    whole = disk_scene(recordings, 0).render(0)
     view, _ = crop_view(whole.frame, whole.ids, np.random.default_rng(0))
     kept = view.depth_m > 0
     assert 0 < kept.sum() < (whole.frame.depth_m > 0).sum()
     np.testing.assert_array_equal(view.depth_m[kept], whole.frame.depth_m[kept])
     np.testing.assert_array_equal(view.camera.K, whole.frame.camera.K)
-    assert view.color is not None and whole.frame.color is not None
-    np.testing.assert_array_equal(view.color[kept], whole.frame.color[kept])
-    assert (view.color == 0).mean() > 0.05
-
-
-def test_colours_vary_in_training() -> None:
-    rng = np.random.default_rng(0)
-    halves = np.array([[200, 60, 20], [90, 90, 90]], np.uint8).repeat(40, axis=0)
-    image = halves[None].repeat(30, axis=0)
-    assert vary_color(None, rng) is None
-    seen = [vary_color(image, rng) for _ in range(300)]
-    given = [s for s in seen if s is not None]
-    assert abs(len(given) / 300 - (1 - augment.NO_COLORS)) < 0.06
-    assert all(s.dtype == np.uint8 and s.shape == image.shape for s in given)
-    inner = [s[5:25, 10:70].astype(float) for s in given]  # some are shifted
-    red, grey = (np.array([s[:, i : i + 20].mean(axis=(0, 1)) for s in inner]) for i in (0, 40))
-    order = red.argmax(axis=1)  # the reddest channel is another one where hues were exchanged
-    assert 0.05 < (order != 0).mean() < 0.3
-    assert (np.ptp(red / grey, axis=1) < 0.5).mean() == pytest.approx(augment.GREY, abs=0.07)
-    assert np.ptp(grey.mean(axis=1)) > 60  # exposure
-    same = [vary_color(image, np.random.default_rng(5)) for _ in range(2)]
-    assert same[0] is not None and same[1] is not None and (same[0] == same[1]).all()
-
-
-def test_some_images_are_beside_their_depths_and_some_out_of_focus() -> None:
-    rng = np.random.default_rng(1)
-    image = np.zeros((150, 200, 3), np.uint8)
-    image[60:90, 80:120] = 200
-    seen = [s for s in (vary_color(image, rng) for _ in range(150)) if s is not None]
-    grey = np.array([s.mean(axis=2) for s in seen])
-    bright = grey > grey.max(axis=(1, 2), keepdims=True) / 2
-    columns = (bright * np.arange(200)).sum(axis=(1, 2)) / bright.sum(axis=(1, 2))
-    moved = np.abs(columns - 99.5)
-    assert (moved > 0.5).mean() == pytest.approx(augment.MISALIGNED, abs=0.15)
-    assert moved.max() <= 0.01 * 200 + 0.5
-    edge = grey[:, 75, 79] / grey[:, 75, 95:105].mean(axis=1)  # just beside it
-    assert 0.1 < (edge[moved < 0.3] > 0.2).mean() < 0.4
-
-
-def test_colours_are_drawn_where_the_network_sees_them(recordings: Path) -> None:
-    scene = disk_scene(recordings, 0)
-    for use_color in (False, True):
-        model = replace(TINY, network=replace(TINY.network, use_color=use_color))
-        config = replace(CONFIG, model=model, frames_per_scene=50)
-        samples = samples_of_scene(scene, config, np.random.default_rng(0), augment=False)
-        assert {s.volume.color is not None for s in samples} == {use_color}
 
 
 class Drawn:

@@ -10,11 +10,9 @@ import pytest
 import torch
 
 from composenet.detection import Proposals
-from composenet.errors import ConfigError
 from composenet.training import step
 from composenet.training.loop import Trainer
 from composenet.training.losses import OBJECT_LOSSES
-from conftest import TINY
 from training_cases import ALONE, CONFIG, batch_of, options
 
 
@@ -33,10 +31,7 @@ def changed(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> 
 
 
 SAME_FOR_ALL_BINS = {"heading.score.3.bias"}  # a softmax does not feel it: its gradient is rounding
-IMAGE_LOSSES = {"image_objectness", "image_class"}
-DETECTOR_LOSSES = IMAGE_LOSSES | {
-    "objectness", "center", "extent", "class", "box", "box_class", "quality",
-}  # fmt: skip
+DETECTOR_LOSSES = {"objectness", "center", "extent", "class", "box", "box_class", "quality"}
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -62,26 +57,10 @@ def test_only_the_detector_learns(recordings: Path, tmp_path: Path, joint: bool)
     values = [trainer.step(batch, 1e-2) for _ in range(2)]
     parts = changed(before, state_of(trainer))
     assert "objects" not in parts
-    for part in ("images", "backbone", "detection", "boxes"):
+    for part in ("backbone", "detection", "boxes"):
         learned = {name for name, _ in getattr(trainer.module.network, part).named_parameters()}
         assert learned <= parts[part], part
     assert set(values[0]) == DETECTOR_LOSSES | {"total", "gradient_norm"}
-
-
-def test_only_the_image_encoder_learns(recordings: Path, tmp_path: Path) -> None:
-    trainer = Trainer(replace(CONFIG, parts="images"), options(tmp_path), ALONE)
-    before, batch = state_of(trainer), batch_of(recordings)
-    values = [trainer.step(batch, 1e-2) for _ in range(20)]
-    parts = changed(before, state_of(trainer))
-    assert {part for part, names in parts.items() if names} == {"images"}
-    learned = {name for name, _ in trainer.module.network.images.named_parameters()}
-    assert learned == parts["images"]
-    assert set(values[0]) == IMAGE_LOSSES | {"total", "gradient_norm"}
-    for name in IMAGE_LOSSES:
-        assert values[-1][name] < 0.9 * values[0][name]
-    blind = replace(TINY, network=replace(TINY.network, use_color=False))
-    with pytest.raises(ConfigError, match="use_color"):
-        Trainer(replace(CONFIG, parts="images", model=blind), options(tmp_path / "other"), ALONE)
 
 
 def test_only_the_second_look_learns(recordings: Path, tmp_path: Path) -> None:
@@ -103,10 +82,10 @@ def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
     for part, names in parts.items():
         learned = {name for name, _ in getattr(trainer.module.network, part).named_parameters()}
         assert learned <= names, part
-    assert len(parts) == 5 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
+    assert len(parts) == 4 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
 
 
-@pytest.mark.parametrize("parts", ["all", "detector", "images", "boxes", "objects"])
+@pytest.mark.parametrize("parts", ["all", "detector", "boxes", "objects"])
 def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, parts: str) -> None:
     config = replace(CONFIG, parts=parts, joint_from_step=1, min_visible_pixels=10**6)
     trainer, batch = Trainer(config, options(tmp_path), ALONE), batch_of(recordings, config)

@@ -56,8 +56,8 @@ class NetworkConfig:
     """the crop is the proposal grown by this factor"""
     occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """a cell counts as filled from this probability on"""
-    use_color: bool = False
-    """the second look sees the colour image, too; where a frame has none it sees grey"""
+    lively_boxes: bool = False
+    """no unit of the second look can fall silent: norms and leaks in place of rectifiers"""
 
 
 @dataclass(frozen=True, config=_STRICT)

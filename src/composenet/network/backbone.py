@@ -39,13 +39,10 @@ class _Stage(nn.ModuleList):
 class Backbone(nn.Module):
     """features (N, c_in) on the finest level -> (N, channels[0] * 2).
 
-    channels, blocks: of each resolution, finest first; the decoder has as many blocks. c_image: of
-    what images say of every voxel, which is added on the way in and on the way out.
+    channels, blocks: of each resolution, finest first; the decoder has as many blocks.
     """
 
-    def __init__(
-        self, c_in: int, channels: tuple[int, ...], blocks: tuple[int, ...], c_image: int = 0
-    ) -> None:
+    def __init__(self, c_in: int, channels: tuple[int, ...], blocks: tuple[int, ...]) -> None:
         super().__init__()
         self.c_out = 2 * channels[0]
         self.stem = SubmanifoldConv(c_in, channels[0])
@@ -61,17 +58,9 @@ class Backbone(nn.Module):
             nn.Linear(2 * a, w) for (a, _), w in zip(pairs, wide, strict=True)
         )
         self.decoder = nn.ModuleList(_Stage(w, n) for w, n in zip(wide, blocks[:-1], strict=True))
-        self.image_in = nn.Linear(c_image, channels[0], bias=False) if c_image else None
-        self.image_out = nn.Linear(c_image, self.c_out, bias=False) if c_image else None
 
-    def forward(
-        self, features: Tensor, levels: tuple[Level, ...], image: Tensor | None = None
-    ) -> Tensor:
-        """image: (N, c_image), for a backbone made with c_image."""
-        x = self.stem_norm(self.stem(features, levels[0]))
-        if image is not None and self.image_in is not None:
-            x = x + self.image_in(image)
-        x = torch.relu(x)
+    def forward(self, features: Tensor, levels: tuple[Level, ...]) -> Tensor:
+        x = torch.relu(self.stem_norm(self.stem(features, levels[0])))
         skips = []
         for i, level in enumerate(levels):
             x = self.encoder[i](x, level)
@@ -82,7 +71,5 @@ class Backbone(nn.Module):
         for i in reversed(range(len(skips))):
             up = torch.relu(self.up_norm[i](self.up[i](x, levels[i])))
             x = self.merge[i](torch.cat([skips[i], up], dim=1))
-            if i == 0 and image is not None and self.image_out is not None:
-                x = x + self.image_out(image)
             x = self.decoder[i](torch.relu(x), levels[i])
         return x

@@ -13,8 +13,6 @@ from torch import Tensor
 from composenet.geometry.affine import apply_affine
 from composenet.volume.voxels import Volume
 
-NO_COLOR = 128
-
 
 @dataclass(frozen=True)
 class VolumeBatch:
@@ -23,7 +21,6 @@ class VolumeBatch:
     coords: (N, 4) int64 rows of (frame, x, y, z). features: (N, C). remembered: (N,) bool, voxels
     that only earlier frames saw. free: (B, X, Y, Z) bool cells of edge FREE_CELL_M seen to be
     empty, now or earlier. free_low: (B, 3) corners of the first ones, metres. depth_m: (B, H, W).
-    color: (B, H, W, 3) uint8, mid-grey where a frame has none.
     K: (B, 3, 3). T_camera_grid: (B, 4, 4). floor_z: (B,) z of the world's floor plane (z = 0) in
     the grid frame.
     """
@@ -34,7 +31,6 @@ class VolumeBatch:
     free: Tensor
     free_low: Tensor
     depth_m: Tensor
-    color: Tensor
     K: Tensor
     T_camera_grid: Tensor
     floor_z: Tensor
@@ -122,7 +118,6 @@ def collate(volumes: Sequence[Volume]) -> VolumeBatch:
         free=torch.from_numpy(free),
         free_low=torch.from_numpy(np.stack([v.free.low for v in volumes]).astype(np.float32)),
         depth_m=torch.from_numpy(np.stack([v.depth_m for v in volumes])),
-        color=torch.from_numpy(np.stack([_color(v) for v in volumes])),
         K=torch.from_numpy(np.stack([v.K for v in volumes]).astype(np.float32)),
         T_camera_grid=torch.from_numpy(
             np.stack([v.T_camera_grid for v in volumes]).astype(np.float32)
@@ -130,10 +125,3 @@ def collate(volumes: Sequence[Volume]) -> VolumeBatch:
         floor_z=torch.tensor([-v.T_world_grid[2, 3] for v in volumes], dtype=torch.float32),
         voxel_size_m=volumes[0].voxel_size_m,
     )
-
-
-def _color(volume: Volume) -> np.ndarray:
-    """(H, W, 3) uint8."""
-    if volume.color is not None:
-        return np.asarray(volume.color)
-    return np.full((*volume.depth_m.shape, 3), NO_COLOR, np.uint8)

@@ -2,7 +2,7 @@
 
 A small PointNet (Qi et al. 2017) over the surface voxels in and around the box, a small dense
 network over the space there, which tells where an object ends from where its view ends, and another
-over what the images show of it (`BoxView`). The paper stops at the clusters' means; a look at
+over what the depth image shows of it (`BoxView`). The paper stops at the clusters' means; a look at
 all voxels of a box at once corrects boxes that hug the visible part.
 """
 
@@ -64,10 +64,10 @@ def pool_by_box(values: Tensor, box: Tensor, weight: Tensor, n_boxes: int) -> Te
 class BoxHead(nn.Module):
     """Voxel fields and boxes -> BoxFields."""
 
-    def __init__(self, c_features: int, n_classes: int, color: bool = False) -> None:
+    def __init__(self, c_features: int, n_classes: int, lively: bool = False) -> None:
         super().__init__()
         # of a ReLU over many inputs >= 0 half the units fall silent in training
-        unit = partial(nn.LeakyReLU, 0.01) if color else nn.ReLU
+        unit = partial(nn.LeakyReLU, 0.01) if lively else nn.ReLU
         self.voxel = nn.Linear(c_features, 64)  # once a voxel, however many boxes it is in
         self.place = nn.Linear(11, 64)
         self.point = nn.Sequential(
@@ -82,7 +82,7 @@ class BoxHead(nn.Module):
             nn.Linear(32 * (SPACE_CELLS // 2) ** 3, 64),
             unit(),
         )
-        self.view = BoxView(64, color)
+        self.view = BoxView(64, lively)
         self.box = nn.Sequential(
             nn.Linear(2 * 128 + 5 + n_classes + 64 + 64, 128),
             unit(),

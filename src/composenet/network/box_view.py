@@ -1,4 +1,4 @@
-"""What the camera's images show where a box is: relief and colour too fine for the voxels.
+"""What the depth image shows where a box is: relief too fine for the voxels.
 
 Doors, drawers and handles stand out by a centimetre or two. The surface voxels smear that; the
 depth image has it, so each box is also looked at as the camera sees it (a region of the image as in
@@ -17,7 +17,6 @@ from composenet.network.batch import VolumeBatch
 VIEW_PIXELS = 32
 """Pixels a side of what is seen of a box."""
 N_VIEW_CHANNELS = 7
-"""of what depth shows; three more with colour."""
 _MARGIN = 1.3  # the view shows the box grown by this factor
 _IMAGE_WIDTH = 160  # images are averaged down to about this many columns
 _NEAREST_M = 0.2  # of a box that reaches behind the camera
@@ -26,20 +25,18 @@ _RELIEF_PIXELS = 7  # relief is depth against its mean in a square of so many pi
 _RELIEF_M = 0.05  # and counts in units of this
 
 
-def view_inputs(
-    batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor, color: bool = False
-) -> Tensor:
+def view_inputs(batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor) -> Tensor:
     """(M, N_VIEW_CHANNELS, VIEW_PIXELS, VIEW_PIXELS) of M boxes: place of what each pixel sees in
     the box (-1..1 along its sides, 3 channels), whether that is inside, whether depth is known,
-    relief, and depth / 4 m; with color three more, -1..1. The view is the rectangle of the image
-    around the box, stretched; in a mirror image it is turned round.
+    relief, and depth / 4 m. The view is the rectangle of the image around the box, stretched; in a
+    mirror image it is turned round.
 
     center, extents: (M, 3) metres, grid frame. frame: (M,) int64.
     """
     R, t = batch.T_camera_grid[frame, :3, :3], batch.T_camera_grid[frame, :3, 3]
     K = batch.K[frame]
     u, v = _pixels(batch, R, t, K, center, extents)
-    seen, depth = _depth_at(batch, frame, u, v)
+    seen, depth = _depth_at(batch.depth_m, frame, u, v)
     x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None] * depth
     y = (v - K[:, 1, 2, None, None]) / K[:, 1, 1, None, None] * depth
     in_camera = torch.stack([x, y, depth], dim=-1).flatten(1, 2)
@@ -54,10 +51,7 @@ def view_inputs(
     around = around / F.avg_pool2d(known, *square).clamp_min(1e-6)
     relief = ((depth[:, None] - around) / _RELIEF_M).clamp(-1, 1)
     channels = [place.clamp(-2, 2) * known, inside[:, None].to(depth.dtype), known]
-    channels += [relief * known, depth[:, None] / 4]
-    if color:
-        channels.append(_color_at(batch, frame, u, v))
-    return torch.cat(channels, dim=1)
+    return torch.cat([*channels, relief * known, depth[:, None] / 4], dim=1)
 
 
 def _pixels(
@@ -84,61 +78,40 @@ def _pixels(
     return u[:, None, :].expand(shape), v[:, :, None].expand(shape)
 
 
-def _depth_at(batch: VolumeBatch, frame: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+def _depth_at(depth_m: Tensor, frame: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Whether depth is known there (0 or 1) and mean depth, metres, of images averaged down."""
-    depth_m, step = batch.depth_m[:, None], _step(batch)
-    known = (depth_m > 0).to(depth_m.dtype)
+    step = max(1, depth_m.shape[2] // _IMAGE_WIDTH)
+    known = (depth_m > 0).to(depth_m.dtype)[:, None]
     share = F.avg_pool2d(known, step)
-    mean = F.avg_pool2d(depth_m * known, step) / share.clamp_min(1e-6)
-    where = _cells(mean, step, frame, u, v)
-    return (share[:, 0][where] > 0).to(depth_m.dtype), mean[:, 0][where]
-
-
-def _color_at(batch: VolumeBatch, frame: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """(M, 3, VIEW_PIXELS, VIEW_PIXELS) mean colour there, -1..1, of images averaged down."""
-    step = _step(batch)
-    images = batch.color.permute(0, 3, 1, 2).to(batch.depth_m.dtype)
-    mean = F.avg_pool2d(images, step) / 127.5 - 1
-    return mean.permute(0, 2, 3, 1)[_cells(mean, step, frame, u, v)].permute(0, 3, 1, 2)
-
-
-def _step(batch: VolumeBatch) -> int:
-    """Pixels a side that are averaged to one cell."""
-    return max(1, batch.depth_m.shape[2] // _IMAGE_WIDTH)
-
-
-def _cells(
-    mean: Tensor, step: int, frame: Tensor, u: Tensor, v: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Frames, rows and columns, of (B, C, rows, columns) means, of pixels."""
+    mean = F.avg_pool2d(depth_m[:, None] * known, step) / share.clamp_min(1e-6)
     rows, columns = mean.shape[2:]
     # pixels are centred at whole numbers; cell i is the mean of pixels i * step and those after
     i = ((v + 0.5) / step).long().clamp(0, rows - 1)
     j = ((u + 0.5) / step).long().clamp(0, columns - 1)
-    return frame[:, None, None], i, j
+    where = (frame[:, None, None], i, j)
+    return (share[:, 0][where] > 0).to(depth_m.dtype), mean[:, 0][where]
 
 
 class BoxView(nn.Module):
     """Views of boxes -> (M, c_out) features."""
 
-    def __init__(self, c_out: int, color: bool = False) -> None:
+    def __init__(self, c_out: int, lively: bool = False) -> None:
         super().__init__()
-        self.color = color
 
         def convolution(c_in: int, c: int, stride: int) -> list[nn.Module]:
             return [nn.Conv2d(c_in, c, 3, stride, 1), nn.GroupNorm(4, c), nn.ReLU()]
 
         self.layers = nn.Sequential(
-            *convolution(N_VIEW_CHANNELS + 3 * color, 16, 1),
+            *convolution(N_VIEW_CHANNELS, 16, 1),
             *convolution(16, 32, 2),
             *convolution(32, 32, 2),
             *convolution(32, 48, 2),
             nn.Flatten(),
             nn.Linear(48 * (VIEW_PIXELS // 8) ** 2, c_out),
-            nn.LayerNorm(c_out) if color else nn.ReLU(),  # the ReLU falls silent in training
+            nn.LayerNorm(c_out) if lively else nn.ReLU(),
         )
 
     def forward(self, batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor) -> Tensor:
         """center, extents: (M, 3) metres, grid frame. frame: (M,) int64."""
-        features: Tensor = self.layers(view_inputs(batch, frame, center, extents, self.color))
+        features: Tensor = self.layers(view_inputs(batch, frame, center, extents))
         return features

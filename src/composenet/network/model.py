@@ -10,7 +10,6 @@ from composenet.network.backbone import Backbone
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import BoxFields, BoxHead
 from composenet.network.detection_head import DetectionHead, VoxelFields
-from composenet.network.image_encoder import ImageEncoder
 from composenet.network.object_net import ObjectFields, ObjectNet, Teacher, likeliest_heading
 from composenet.network.sparse import build_pyramid
 from composenet.records import CLASS_NAMES
@@ -27,24 +26,17 @@ class ComposeNet(nn.Module):
                 "configuration: backbone_blocks and backbone_channels need one entry a stride each"
             )
         self.config, self.volume_config = network, volume
-        self.images = ImageEncoder() if network.use_color else None
         self.backbone = Backbone(
-            len(FEATURE_NAMES),
-            network.backbone_channels,
-            network.backbone_blocks,
-            self.images.c_out if self.images else 0,
+            len(FEATURE_NAMES), network.backbone_channels, network.backbone_blocks
         )
         self.detection = DetectionHead(self.backbone.c_out, len(CLASS_NAMES))
-        self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES), network.use_color)
+        self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES), network.lively_boxes)
         self.objects = ObjectNet(self.backbone.c_out, network.object_channels, len(CLASS_NAMES))
 
-    def voxel_fields(self, batch: VolumeBatch, image: Tensor | None = None) -> VoxelFields:
-        """Backbone and detection heads on every surface voxel. image: what self.images says of the
-        batch, where that is known already."""
+    def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
+        """Backbone and detection heads on every surface voxel."""
         levels = build_pyramid(batch.coords, batch.size, len(self.config.backbone_channels))
-        if image is None and self.images:
-            image = self.images(batch)
-        return self.detection(self.backbone(batch.features, levels, image))
+        return self.detection(self.backbone(batch.features, levels))
 
     def box_fields(
         self,

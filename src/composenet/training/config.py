@@ -32,8 +32,6 @@ class LossWeights:
     quality: float = 1.0
     box_class: float = 1.0
     heading: float = 1.0
-    image_objectness: float = 0.5
-    image_class: float = 0.5
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -52,10 +50,9 @@ class TrainingConfig:
     """in Adam's gradient; the paper's 1e-5 silenced a third of the channels (`training.silent`)"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    parts: Literal["all", "detector", "images", "boxes", "objects"] = "all"
+    parts: Literal["all", "detector", "boxes", "objects"] = "all"
     """what learns; the detector alone costs a fifth of a whole step, and the second look at boxes
-    alone, or the object network alone, sees voxel features that are held fixed. The image encoder
-    alone is to give it a start: within the detector it learns slowly from nothing"""
+    alone, or the object network alone, sees voxel features that are held fixed"""
     joint_from_step: Annotated[int, Field(ge=0)] = 3200
     """until then the object network learns on jittered true boxes with the features held fixed,
     afterwards end to end and on the detector's own proposals too (the paper's two stages)"""

@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch.utils.data import IterableDataset, get_worker_info
 
-from composenet.geometry.transform import rotation_z
+from composenet.geometry.transform import make_T, rotation_z
+from composenet.records import Camera, Frame
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
-from composenet.training.augment import crop_view, small_motion, vary_color
 from composenet.training.config import TrainingConfig
 from composenet.training.disk import DiskScene, disk_scene
 from composenet.training.targets import (
@@ -71,13 +73,11 @@ def samples_of_scene(
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
-    colorful = config.model.network.use_color
     for place, i in enumerate(times):
-        rendered = scene.render(i, color=colorful and place in taken)
+        rendered = scene.render(i, color=False)
         frame, ids = rendered.frame, rendered.ids
         if augment:
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
-            frame = replace(frame, color=vary_color(frame.color, rng))
             if rng.random() < 0.3:
                 frame, ids = crop_view(frame, ids, rng)
         volume = voxelize(frame, config.model.volume, ids, memory)
@@ -115,6 +115,23 @@ def walk(n_frames: int, n_samples: int, rng: np.random.Generator, long_share: fl
     start = int(rng.integers(0, max(step, n_frames - step * LONGEST_WALK + 1)))
     there = list(range(start, n_frames, step)[:LONGEST_WALK])
     return there + there[-2::-1] if back else there
+
+
+def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:
+    """(4, 4): how wrong a camera pose may be, about a centimetre and a quarter of a degree."""
+    turn = Rotation.from_rotvec(np.radians(0.25) * rng.standard_normal(3)).as_matrix()
+    return make_T(turn, 0.008 * rng.standard_normal(3))
+
+
+def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:
+    """Blank everything outside a random window: narrower views and objects cut by the border."""
+    height, width = frame.depth_m.shape
+    w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))
+    u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
+    depth = np.zeros_like(frame.depth_m)
+    depth[v : v + h, u : u + w] = frame.depth_m[v : v + h, u : u + w]
+    camera = Camera(frame.camera.K, width, height)
+    return replace(frame, depth_m=depth, camera=camera), ids
 
 
 class SceneStream(IterableDataset):

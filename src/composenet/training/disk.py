@@ -32,17 +32,16 @@ class DiskScene:
         return len(self.truth.frames)
 
     def render(self, i: int, *, color: bool = False) -> RenderedFrame:
-        """Frame i as it was written."""
+        """Frame i as it was written (colour is not read: the network does not use it)."""
         try:
             depth_m = np.asarray(Image.open(self.folder / "depth" / f"{i}.png")) / np.float32(1000)
             ids = np.asarray(Image.open(self.folder / "instance" / f"{i}.png")).astype(np.uint16)
             T_world_camera = np.loadtxt(self.folder / "pose" / f"{i}.txt")
             K = np.loadtxt(self.folder / "intrinsic" / "intrinsic_depth.txt")[:3, :3]
-            rgb = np.asarray(Image.open(self.folder / "color" / f"{i}.jpg")) if color else None
         except (OSError, ValueError) as error:
             raise DataError(f"{self.folder}, frame {i}: cannot be read ({error})") from None
         camera = Camera(K, depth_m.shape[1], depth_m.shape[0])
-        frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera, rgb)
+        frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera)
         return RenderedFrame(frame, ids, frame.depth_m)
 
     def frame_truth(self, i: int, ids: NDArray[np.uint16]) -> tuple[ObjectFrameTruth, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ from composenet.network.object_net import (
     Teacher,
 )
 from composenet.training.proposals import TrainingBoxes
-from composenet.training.targets import NOT_KNOWN, TrainingBatch, occupancy_in_crops
+from composenet.training.targets import TrainingBatch, occupancy_in_crops
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
     """Objectness, centre, extent (both in voxels) and class. Every object weighs by the root of
     its voxel count, so that large ones do not drown small ones."""
     on_object = batch.voxel_object >= 0
-    known = batch.voxel_object != NOT_KNOWN
+    known = batch.voxel_object > -2
     losses = {
         "objectness": F.binary_cross_entropy_with_logits(
             fields.objectness[known], on_object[known].to(fields.objectness.dtype)
@@ -71,15 +70,6 @@ def detection_losses(fields: VoxelFields, batch: TrainingBatch) -> dict[str, Ten
         "extent": (weight * extent.sum(dim=1)).sum(),
         "class": (weight * classes).sum(),
     }
-
-
-def image_losses(said: Tensor, batch: TrainingBatch) -> dict[str, Tensor]:
-    """Objectness and class as a linear layer reads them off the image features alone: what the
-    images show must be learned where voxels could do without, too. said: (N, 1 + n_classes)."""
-    fields = VoxelFields(said, said[:, 0], said[:, :3] * 0, said[:, :3] * 0, said[:, 1:])
-    seen = batch.voxel_object.masked_fill(batch.volume.remembered, NOT_KNOWN)
-    losses = detection_losses(fields, dataclasses.replace(batch, voxel_object=seen))
-    return {"image_objectness": losses["objectness"], "image_class": losses["class"]}
 
 
 NEAR_M = 0.6

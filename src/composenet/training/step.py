@@ -8,17 +8,14 @@ import torch
 from torch import Tensor, nn
 
 from composenet.detection import Proposals, propose, second_look
-from composenet.errors import ConfigError
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
-from composenet.records import CLASS_NAMES
 from composenet.training.config import TrainingConfig
 from composenet.training.losses import (
     PoseErrors,
     box_losses,
     detection_losses,
     heading_teacher,
-    image_losses,
     object_losses,
 )
 from composenet.training.proposals import TrainingBoxes, chosen_objects, training_boxes
@@ -36,10 +33,6 @@ class LossModule(nn.Module):
         super().__init__()
         self.config = config
         self.network = ComposeNet(config.model.network, config.model.volume)
-        if config.parts == "images" and not self.network.images:
-            raise ConfigError("training configuration: parts images needs network.use_color")
-        if self.network.images:
-            self.reads_images = nn.Linear(self.network.images.c_out, 1 + len(CLASS_NAMES))
         self.train()
 
     def train(self, mode: bool = True) -> LossModule:
@@ -55,17 +48,10 @@ class LossModule(nn.Module):
         """Unweighted losses by name. joint: second stage (gradients reach the backbone through
         the object network, and boxes are corrected before it looks into them)."""
         config = self.config
-        losses: dict[str, Tensor] = {}
-        image = None
-        if self.network.images and config.parts in ("all", "detector", "images"):
-            image = self.network.images(batch.volume)
-            losses |= image_losses(self.reads_images(image), batch)
-            if config.parts == "images":
-                return losses, PoseErrors.none(image)
         learns_voxels = config.parts in ("all", "detector")
         learns_boxes = config.parts != "objects"
         with torch.set_grad_enabled(torch.is_grad_enabled() and learns_voxels):
-            fields = self.network.voxel_fields(batch.volume, image)
+            fields = self.network.voxel_fields(batch.volume)
         with torch.set_grad_enabled(torch.is_grad_enabled() and learns_boxes):
             proposals: tuple[Proposals, ...] = ()
             if learns_boxes:
@@ -74,6 +60,7 @@ class LossModule(nn.Module):
             corrected = self.network.box_fields(
                 fields, batch.volume, boxes.center, boxes.extents, boxes.frame
             )
+        losses: dict[str, Tensor] = {}
         if learns_voxels:
             losses |= detection_losses(fields, batch)
         if learns_boxes:

@@ -19,8 +19,6 @@ from composenet.volume.voxels import Volume
 
 UNKNOWN = -1
 """Label of a remembered voxel of an object that is out of view or has moved away unseen."""
-NOT_KNOWN = -2
-"""In place of the row of its object in a batch."""
 
 OTHER_VOXELS = 20
 """What is no furniture counts as visible from this many voxels on."""
@@ -58,7 +56,7 @@ class TrainingBatch:
     """B frames with K objects and L other things in all.
 
     frame: (K,) frame of each object. other_frame: (L,) that of each other thing. voxel_object: (N,)
-    row of the voxel's object, -1 for none, NOT_KNOWN for what nobody can know.
+    row of the voxel's object, -1 for none, -2 for what nobody can know.
     The rest as in Sample, as tensors; occupancy: (K, 32, 32, 32) float in 0..1.
     """
 
@@ -180,7 +178,7 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
         row = np.full(max(int(sample.volume.labels.max(initial=0)), *sample.gt_id, 0) + 1, -1)
         row[sample.gt_id] = np.arange(len(sample.gt_id)) + offset
         labels = sample.volume.labels
-        voxel_object.append(np.where(labels == UNKNOWN, NOT_KNOWN, row[labels.clip(min=0)]))
+        voxel_object.append(np.where(labels == UNKNOWN, -2, row[labels.clip(min=0)]))
     return TrainingBatch(
         volume=collate([s.volume for s in samples]),
         frame=torch.from_numpy(frame),

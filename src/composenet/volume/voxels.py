@@ -46,7 +46,7 @@ class Volume:
     free: what this frame and earlier ones saw to be empty, grid frame.
     shape: cells of the grid, multiples of 16. T_world_grid: (4, 4), grid metres to world; voxel
     (i, j, k) is centred at voxel_size_m * (i, j, k). depth_m (H, W), K (3, 3) and T_camera_grid
-    (4, 4) are the frame's, and so is color (H, W, 3), where it has one.
+    (4, 4) are the frame's.
     """
 
     coords: NDArray[np.int32]
@@ -60,7 +60,6 @@ class Volume:
     depth_m: NDArray[np.float32]
     K: NDArray[np.float64]
     T_camera_grid: NDArray[np.float64]
-    color: NDArray[np.uint8] | None = None
 
 
 def quarter_turn(T_world_camera: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -264,9 +263,8 @@ def voxelize(
     free = free.within(low - beyond, low + np.array(shape) * size + beyond)
     free = replace(free, low=free.low - low)
     return Volume(
-        coords, features, labels, n_seen, free, shape, size,
-        T_world_grid, depth_m, K, T_camera_grid, frame.color,
-    )  # fmt: skip
+        coords, features, labels, n_seen, free, shape, size, T_world_grid, depth_m, K, T_camera_grid
+    )
 
 
 def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> NDArray[np.float32]:
