@@ -36,7 +36,8 @@ def main(weights: Path | None = None, scenes: int = 8, out: Path | None = None) 
     shares = {part: round(100 * channels.share(part), 1) for part in PARTS}
     print("silent, %:", shares, "all:", round(100 * channels.share(), 1))
     if out is not None:
-        command = f"python benchmarks/silent_channels.py --scenes {scenes}"
+        other = f" --weights {weights}" if weights else ""
+        command = f"python benchmarks/silent_channels.py --scenes {scenes}{other}"
         info = asdict(RunInfo(f"val, {scenes} scenes", 0, command, weights_id(path)))
         out.write_text(json.dumps(info | {"silent_percent": shares}, indent=2) + "\n")
 

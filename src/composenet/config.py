@@ -57,7 +57,8 @@ class NetworkConfig:
     occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """a cell counts as filled from this probability on"""
     lively_boxes: bool = False
-    """no unit of the second look can fall silent: norms and leaks in place of rectifiers"""
+    """the second look's view of the depth image ends in a norm and its rectifiers leak, so that
+    units that are off can come back"""
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -66,7 +66,7 @@ class BoxHead(nn.Module):
 
     def __init__(self, c_features: int, n_classes: int, lively: bool = False) -> None:
         super().__init__()
-        # of a ReLU over many inputs >= 0 half the units fall silent in training
+        # half the units fall silent in training; where they leak they have a gradient still
         unit = partial(nn.LeakyReLU, 0.01) if lively else nn.ReLU
         self.voxel = nn.Linear(c_features, 64)  # once a voxel, however many boxes it is in
         self.place = nn.Linear(11, 64)

@@ -167,12 +167,12 @@ class SceneStream(IterableDataset):
 
 
 def fixed_batches(
-    source: SceneSource, config: TrainingConfig, n_scenes: int
+    source: SceneSource, config: TrainingConfig, n_scenes: int, start: int = 0
 ) -> list[TrainingBatch]:
     """The same validation batches every time: frames_per_scene frames of n_scenes scenes."""
     rng = np.random.default_rng(1)
     samples: list[Sample] = []
-    for index in range(n_scenes):
+    for index in range(start, start + n_scenes):
         samples.extend(samples_of_scene(source.scene(index), config, rng, augment=False))
     size = config.batch_frames
     return [collate_samples(samples[i : i + size]) for i in range(0, len(samples), size)]

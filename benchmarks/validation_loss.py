@@ -1,0 +1,74 @@
+"""The detector's loss on validation scenes, of the shipped weights and of others, paired.
+
+python benchmarks/validation_loss.py WEIGHTS... [--start 300] [--scenes 40] [--out FILE.json]
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from rich.progress import track
+
+from composenet.metrics.report import RunInfo
+from composenet.network.weights import default_weights, load_weights, weights_id
+from composenet.training.config import TrainingConfig
+from composenet.training.data import SceneSource, fixed_batches
+from composenet.training.step import LossModule, weighted_sum
+from composenet.training.targets import TrainingBatch
+
+
+@torch.no_grad()
+def losses_of(weights: Path, batches: list[TrainingBatch]) -> np.ndarray:
+    """(B,) weighted sum of what the detector and the second look are trained for."""
+    network, model, _ = load_weights(weights)
+    config = TrainingConfig(model=model, parts="detector")
+    module = LossModule(config)
+    module.network = network
+    module.eval()
+    sums = []
+    for i, batch in enumerate(track(batches, weights.name)):
+        losses, _ = module(batch, False, torch.Generator().manual_seed(i))
+        sums.append(float(weighted_sum(losses, config)))
+    return np.array(sums)
+
+
+def main(
+    weights: tyro.conf.Positional[tuple[Path, ...]],
+    start: int = 300,
+    scenes: int = 40,
+    out: Path | None = None,
+) -> None:
+    """Mean loss of each, and its difference from that of the shipped weights, over batches."""
+    config = replace(TrainingConfig(), frames_per_scene=4)
+    batches = fixed_batches(SceneSource("val"), config, scenes, start)
+    shipped = losses_of(default_weights(), batches)
+    rows = [{"weights": weights_id(default_weights()), "loss": round(float(shipped.mean()), 4)}]
+    for path in weights:
+        loss = losses_of(path, batches)
+        difference = loss - shipped
+        error = difference.std(ddof=1) / len(difference) ** 0.5
+        rows.append(
+            {
+                "weights": weights_id(path),
+                "loss": round(float(loss.mean()), 4),
+                "difference": round(float(difference.mean()), 4),
+                "standard_error": round(float(error), 4),
+            }
+        )
+    for row in rows:
+        print(row)
+    if out is not None:
+        files = " ".join(map(str, weights))
+        command = f"python benchmarks/validation_loss.py {files} --start {start} --scenes {scenes}"
+        data = f"val, scenes {start} to {start + scenes - 1}"
+        info = asdict(RunInfo(data, 0, command, weights_id(default_weights())))
+        out.write_text(json.dumps(info | {"losses": rows}, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
