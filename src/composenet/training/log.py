@@ -46,14 +46,17 @@ class StepLog:
             waiting = 100 * self.mean["wait_s"] / self.mean["step_s"]
             left = (1 - share) * self.minutes
             self.console.print(
-                f"step {progress.step}  loss {self.mean['total']:.3f}  "
-                f"iou {self.mean.get('completion_iou', 0):.2f}  "
-                f"rotation {self.mean.get('rotation_deg', 180):.0f} deg  "
+                f"step {progress.step}  loss {self.mean['total']:.3f}  {self._objects()}"
                 f"{frames_a_second:.1f} frames/s  waiting {waiting:.0f}%  "
                 f"up to {left:.0f} min left",
                 highlight=False,
                 soft_wrap=True,
             )
+
+    def _objects(self) -> str:
+        """How completion and pose do; nothing where they are not learned."""
+        names = {"completion_iou": "iou {:.2f}  ", "rotation_deg": "rotation {:.0f} deg  "}
+        return "".join(t.format(self.mean[n]) for n, t in names.items() if n in self.mean)
 
     def validation(self, progress: Progress, values: dict[str, float]) -> None:
         """Note figures of a validation; nothing where there are none."""
