@@ -23,7 +23,6 @@ TINY = Config(
         object_channels=(4, 6, 8),
         crop_cells=16,
         occupancy_threshold=0.05,
-        lively_boxes=True,
     ),
     detection=DetectionConfig(
         min_cluster_voxels=5, objectness_threshold=0.1, min_score=0.1, max_proposals=3

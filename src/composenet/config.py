@@ -56,9 +56,6 @@ class NetworkConfig:
     """the crop is the proposal grown by this factor"""
     occupancy_threshold: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """a cell counts as filled from this probability on"""
-    lively_boxes: bool = False
-    """the second look's view of the depth image ends in a norm and its rectifiers leak, so that
-    units that are off can come back"""
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -179,7 +179,6 @@ def _learned_with(config: Config) -> tuple[object, ...]:
         network.object_channels,
         network.crop_cells,
         network.crop_margin,
-        network.lively_boxes,
         config.volume.truncation_m,
     )
 

@@ -64,10 +64,9 @@ def pool_by_box(values: Tensor, box: Tensor, weight: Tensor, n_boxes: int) -> Te
 class BoxHead(nn.Module):
     """Voxel fields and boxes -> BoxFields."""
 
-    def __init__(self, c_features: int, n_classes: int, lively: bool = False) -> None:
+    def __init__(self, c_features: int, n_classes: int) -> None:
         super().__init__()
-        # half the units fall silent in training; where they leak they have a gradient still
-        unit = partial(nn.LeakyReLU, 0.01) if lively else nn.ReLU
+        unit = partial(nn.LeakyReLU, 0.01)  # units that are off have a gradient still
         self.voxel = nn.Linear(c_features, 64)  # once a voxel, however many boxes it is in
         self.place = nn.Linear(11, 64)
         self.point = nn.Sequential(
@@ -82,7 +81,7 @@ class BoxHead(nn.Module):
             nn.Linear(32 * (SPACE_CELLS // 2) ** 3, 64),
             unit(),
         )
-        self.view = BoxView(64, lively)
+        self.view = BoxView(64)
         self.box = nn.Sequential(
             nn.Linear(2 * 128 + 5 + n_classes + 64 + 64, 128),
             unit(),

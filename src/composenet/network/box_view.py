@@ -95,7 +95,7 @@ def _depth_at(depth_m: Tensor, frame: Tensor, u: Tensor, v: Tensor) -> tuple[Ten
 class BoxView(nn.Module):
     """Views of boxes -> (M, c_out) features."""
 
-    def __init__(self, c_out: int, lively: bool = False) -> None:
+    def __init__(self, c_out: int) -> None:
         super().__init__()
 
         def convolution(c_in: int, c: int, stride: int) -> list[nn.Module]:
@@ -108,7 +108,7 @@ class BoxView(nn.Module):
             *convolution(32, 48, 2),
             nn.Flatten(),
             nn.Linear(48 * (VIEW_PIXELS // 8) ** 2, c_out),
-            nn.LayerNorm(c_out) if lively else nn.ReLU(),
+            nn.LayerNorm(c_out),  # a ReLU here fell silent for nearly all boxes, and stayed so
         )
 
     def forward(self, batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor) -> Tensor:

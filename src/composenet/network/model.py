@@ -30,7 +30,7 @@ class ComposeNet(nn.Module):
             len(FEATURE_NAMES), network.backbone_channels, network.backbone_blocks
         )
         self.detection = DetectionHead(self.backbone.c_out, len(CLASS_NAMES))
-        self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES), network.lively_boxes)
+        self.boxes = BoxHead(self.backbone.c_out, len(CLASS_NAMES))
         self.objects = ObjectNet(self.backbone.c_out, network.object_channels, len(CLASS_NAMES))
 
     def voxel_fields(self, batch: VolumeBatch) -> VoxelFields:
