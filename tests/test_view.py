@@ -75,6 +75,14 @@ def test_simplified_stays_closed_and_close() -> None:
     assert small.volume == pytest.approx(mesh.volume, rel=0.02)
 
 
+def test_an_unsure_shape_has_the_mesh_of_a_sure_one() -> None:
+    """No cell of a thin shape that was seen seldom need be more likely filled than not."""
+    shape = box_grid(np.array([0.6, 1.2, 0.8]))
+    sure, unsure = meshes.canonical_mesh(shape), meshes.canonical_mesh(0.4 * shape)
+    assert sure is not None and unsure is not None and unsure.is_watertight
+    np.testing.assert_allclose(unsure.bounds, sure.bounds, atol=1e-6)
+
+
 def test_saved_meshes_load_back(tmp_path: Path) -> None:
     entry = make_object()
     mesh = meshes.track_mesh(Track(1, 1, (entry,), box_grid(entry.extents_m)))

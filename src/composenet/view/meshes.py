@@ -18,7 +18,8 @@ from composenet.errors import DataError
 from composenet.records import FloatArray, Similarity, Track, TrackedObject
 
 LEVEL = 0.5
-"""a cell at or above this is inside (paper, section on tracking)"""
+"""a cell at least this share as sure as the surest one is inside. The paper binarises at 0.5; of
+thin shapes seen seldom no cell may get so far"""
 MIN_COMPONENT_SHARE = 0.05
 """separate pieces smaller than this share of the largest one are dropped"""
 
@@ -31,11 +32,12 @@ def canonical_mesh(canonical: FloatArray) -> trimesh.Trimesh | None:
     """Closed surface of a canonical reconstruction, in canonical coordinates.
 
     canonical: (N, N, N) in 0..1 over [-0.5, 0.5]^3. The grid is padded by one empty cell, so
-    shapes that touch its edge are closed there. None when no cell is inside.
+    shapes that touch its edge are closed there. None when all cells are 0.
     """
-    inside = _large_components(canonical >= LEVEL)
-    if not inside.any():
+    if not canonical.any():
         return None
+    canonical = canonical / canonical.max()
+    inside = _large_components(canonical >= LEVEL)
     sure = np.where(inside, np.maximum(canonical, 0.52), np.minimum(canonical, 0.48))
     sure[~inside & (canonical >= LEVEL)] = 0.0
     mesh = _marching_cubes(sure)
