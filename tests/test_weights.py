@@ -69,6 +69,11 @@ def test_the_file_holds_its_configuration_and_no_code(tiny_weights: Path) -> Non
     assert tiny_weights.read_bytes()[8:9] == b"{"  # a JSON header, then plain numbers
 
 
+def test_others_may_read_the_file_as_any_other(tmp_path: Path, tiny_weights: Path) -> None:
+    (tmp_path / "any").write_bytes(b"")
+    assert tiny_weights.stat().st_mode == (tmp_path / "any").stat().st_mode
+
+
 def test_missing_empty_and_foreign_files(tmp_path: Path, tiny_weights: Path) -> None:
     assert "no such weights" in refused(tmp_path / "none.safetensors")
     path = tmp_path / "w.safetensors"

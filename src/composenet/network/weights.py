@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from composenet.config import Config, from_dict, to_dict
 from composenet.errors import ComposenetError, WeightsError
@@ -35,7 +35,7 @@ def save_weights(
         "notes": json.dumps(notes or {}),
     }
     partial = path.with_name(path.name + ".partial")
-    save_file(tensors, partial, metadata)
+    partial.write_bytes(save(tensors, metadata))
     partial.replace(path)
 
 
