@@ -15,6 +15,7 @@ import trimesh
 
 from composenet import config as configuration
 from composenet.config import Config
+from composenet.files import write_atomic
 from composenet.predictions import (
     CANONICAL,
     TRACKS_JSON,
@@ -28,7 +29,7 @@ from composenet.result_folder import CONFIG, REPLAY, REPORT, TIMINGS, claim, cle
 from composenet.timings import summarise_timings
 from composenet.tracks_file import FrameText, frame_text, tracks_json, tracks_text
 from composenet.view.figures import ColoredMesh, overlay, track_color
-from composenet.view.meshes import canonical_mesh, last_observed, place, save_mesh, write_atomic
+from composenet.view.meshes import canonical_mesh, last_observed, place, save_mesh
 from composenet.view.replay import NoReplay, Replay, open_replay
 from composenet.view.report import Picture, write_report
 

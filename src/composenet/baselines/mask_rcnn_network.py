@@ -30,6 +30,7 @@ from torch import Tensor, nn
 from composenet.baselines.torchvision_ops import import_torchvision
 from composenet.config import Count, from_dict, to_dict
 from composenet.errors import ComposenetError, WeightsError
+from composenet.files import write_atomic
 from composenet.records import CLASS_NAMES
 
 import_torchvision()
@@ -161,9 +162,7 @@ def save_network(
         "config": json.dumps(to_dict(config)),
         "notes": json.dumps(notes),
     }
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(save(tensors, metadata))
-    partial.replace(path)
+    write_atomic(path, save(tensors, metadata))
 
 
 def load_network(path: Path, device: torch.device | str = "cpu") -> tuple[MaskRCNN, dict[str, Any]]:

@@ -14,6 +14,7 @@ from safetensors.torch import save
 
 from composenet.config import Config, from_dict, to_dict
 from composenet.errors import ComposenetError, WeightsError
+from composenet.files import write_atomic
 from composenet.network.model import ComposeNet
 
 FORMAT = "composenet.weights/1"
@@ -23,7 +24,8 @@ DEFAULT_NAME = "default.safetensors"
 def save_weights(
     network: ComposeNet, config: Config, path: Path, notes: dict[str, Any] | None = None
 ) -> None:
-    """Write atomically. Matrices are stored in half precision, statistics in full."""
+    """Matrices are stored in half precision, statistics in full. Raises DataError where the file
+    cannot be written."""
     tensors = {}
     for name, value in network.state_dict().items():
         value = value.detach().cpu().contiguous()
@@ -34,9 +36,7 @@ def save_weights(
         "config": json.dumps(to_dict(config)),
         "notes": json.dumps(notes or {}),
     }
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(save(tensors, metadata))
-    partial.replace(path)
+    write_atomic(path, save(tensors, metadata))
 
 
 def default_weights() -> Path:

@@ -14,7 +14,7 @@ from skimage.measure import marching_cubes
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from composenet.errors import DataError
+from composenet.files import write_atomic
 from composenet.records import FloatArray, Similarity, Track, TrackedObject
 
 LEVEL = 0.5
@@ -118,18 +118,3 @@ def save_mesh(mesh: trimesh.Trimesh, color: NDArray[np.uint8], stem: Path) -> tu
 def _bytes(exported: object) -> bytes:
     assert isinstance(exported, bytes)
     return exported
-
-
-def write_atomic(path: Path, data: bytes) -> Path:
-    """Write beside the target and rename over it, so that a reader never sees half a file.
-
-    Raises DataError when that fails, for instance on a full disk.
-    """
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror})") from None
-    return path

@@ -15,11 +15,12 @@ import trimesh
 from PIL import Image
 
 from composenet import __version__
+from composenet.files import write_atomic
 from composenet.predictions import PredictedSequence
 from composenet.records import CLASS_NAMES
 from composenet.timings import WHOLE_FRAME, StageTiming
 from composenet.view.figures import track_hex
-from composenet.view.meshes import last_observed, simplified, write_atomic
+from composenet.view.meshes import last_observed, simplified
 from composenet.view.plots import top_view_of
 from composenet.view.report_page import SCRIPT, STYLE
 from composenet.view.report_svg import (
