@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import pickle
+import platform
 import shutil
 import signal
 import subprocess
@@ -77,6 +78,36 @@ def test_threads_wait_asleep_unless_asked_otherwise(
         env=environment | ({"OMP_WAIT_POLICY": asked} if asked else {}),
     )
     assert done.stderr == f"torch meets {used}\n"
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's own settings")
+@pytest.mark.parametrize("asked", [None, "131072"])
+def test_freed_memory_is_kept_for_what_comes_next(asked: str | None) -> None:
+    """Faults of this process and of one that it starts, for ten arrays of 40 MB one after the
+    other: 10,000 pages each, unless the second has the memory of the first."""
+    code = (
+        "import os, resource, subprocess, sys\n"
+        "import numpy as np\n"
+        "from composenet import cli\n"
+        "if len(sys.argv) == 1:\n"
+        "    cli.parse_command = lambda _: None\n"
+        "    cli._guarded = lambda _: 0\n"
+        "    try: cli.main()\n"
+        "    except SystemExit: pass\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "for _ in range(10): np.ones(5_000_000)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before, flush=True)\n"
+        "if len(sys.argv) == 1: subprocess.run([sys.executable, '-c', os.environ['CODE'], '2'])"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")}
+    environment |= {"CODE": code, "NUMPY_MADVISE_HUGEPAGE": "0"}
+    environment |= {"MALLOC_TRIM_THRESHOLD_": asked} if asked else {}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment
+    )
+    faults = [int(line) for line in done.stdout.split()]
+    assert len(faults) == 2, done.stderr
+    assert all((count > 50_000) == bool(asked) for count in faults), faults
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import platform
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -254,6 +256,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 def main() -> None:
     """Entry point."""
     _wait_asleep()
+    _keep_freed_memory()
     sys.exit(_guarded(lambda: parse_command(COMMANDS)))
 
 
@@ -265,6 +268,21 @@ def _wait_asleep() -> None:
     that has the cores to itself.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+
+def _keep_freed_memory() -> None:
+    """Have the C library keep the memory of tensors that are done with for the next ones.
+
+    By default glibc gives what is large back to the system at once, and clearing it anew takes a
+    tenth of the time of tracking and training. MALLOC_TRIM_THRESHOLD_ in the environment decides
+    instead where it is set. Other C libraries are left as they are.
+    """
+    if platform.libc_ver()[0] != "glibc" or "MALLOC_TRIM_THRESHOLD_" in os.environ:
+        return
+    libc = ctypes.CDLL(None)
+    for number, name, size in ((-1, "TRIM", 2**31 - 1), (-3, "MMAP", 2**30)):  # malloc.h
+        libc.mallopt(number, size)
+        os.environ[f"MALLOC_{name}_THRESHOLD_"] = str(size)  # for processes that this one starts
 
 
 def _guarded(parse: Callable[[], Any]) -> int:

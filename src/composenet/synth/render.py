@@ -172,6 +172,16 @@ def _edge(p, q, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _inside(row, slope, first, last):  # type: ignore[no-untyped-def]
+    """The pixels first .. last without most of those at the ends where row + slope u < 0."""
+    if slope > 0:
+        return max(first, int(max(-row / slope, -1.0)) - 1), last
+    if slope < 0:
+        return first, min(last, int(min(-row / slope, 1e6)) + 1)
+    return first, last
+
+
+@numba.njit(cache=True, nogil=True)
 def _fill(points, faces, fx, fy, cx, cy, depth, face):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for f in range(len(faces)):
@@ -202,7 +212,8 @@ def _fill(points, faces, fx, fy, cx, cy, depth, face):  # type: ignore[no-untype
         s = 1.0 if volume > 0 else -1.0
         for v in range(v0, v1 + 1):
             ra, rb, rg = s * (ay * v + az), s * (by * v + bz), s * (gy * v + gz)
-            for u in range(u0, u1 + 1):
+            first, last = _inside(ra, s * ax, *_inside(rb, s * bx, *_inside(rg, s * gx, u0, u1)))
+            for u in range(first, last + 1):
                 wa, wb, wg = ra + s * ax * u, rb + s * bx * u, rg + s * gx * u
                 if wa < 0 or wb < 0 or wg < 0:
                     continue
@@ -213,9 +224,8 @@ def _fill(points, faces, fx, fy, cx, cy, depth, face):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True, nogil=True)
-def face_normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
-    """Unit normal of a face turned towards the camera, and the cosine of incidence of the
-    ray (x, y, 1)."""
+def _cross(points, faces, f):  # type: ignore[no-untyped-def]
+    """Normal of a face, either way, and its length, which is never zero."""
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     px, py, pz = (
         points[j, 0] - points[i, 0],
@@ -228,8 +238,22 @@ def face_normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
         points[k, 2] - points[i, 2],
     )
     nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-    length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-20
-    cosine = (nx * x + ny * y + nz) / (length * np.sqrt(x * x + y * y + 1))
+    return nx, ny, nz, np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-20
+
+
+@numba.njit(cache=True, nogil=True)
+def _cosine(normal, x, y):  # type: ignore[no-untyped-def]
+    nx, ny, nz, length = normal
+    return (nx * x + ny * y + nz) / (length * np.sqrt(x * x + y * y + 1))
+
+
+@numba.njit(cache=True, nogil=True)
+def face_normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
+    """Unit normal of a face turned towards the camera, and the cosine of incidence of the
+    ray (x, y, 1)."""
+    normal = _cross(points, faces, f)
+    cosine = _cosine(normal, x, y)
+    nx, ny, nz, length = normal
     s = -1.0 if cosine > 0 else 1.0
     return s * nx / length, s * ny / length, s * nz / length, abs(cosine)
 
@@ -238,12 +262,15 @@ def face_normal(points, faces, f, x, y):  # type: ignore[no-untyped-def]
 def _surface(points, faces, face_material, brightness, shininess, face, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
     height, width = face.shape
     out = np.zeros((height, width, 3), dtype=np.float32)
+    before, normal = -1, _cross(points, faces, 0)
     for v in range(height):
         for u in range(width):
             f = face[v, u]
-            if f >= 0:
-                normal = face_normal(points, faces, f, (u - cx) / fx, (v - cy) / fy)
-                out[v, u, 0] = normal[3]
-                out[v, u, 1] = brightness[face_material[f]]
-                out[v, u, 2] = shininess[face_material[f]]
+            if f < 0:
+                continue
+            if f != before:
+                before, normal = f, _cross(points, faces, f)
+            out[v, u, 0] = abs(_cosine(normal, (u - cx) / fx, (v - cy) / fy))
+            out[v, u, 1] = brightness[face_material[f]]
+            out[v, u, 2] = shininess[face_material[f]]
     return out

@@ -122,11 +122,14 @@ class Scene:
         )
         return RenderedFrame(frame, ids, buffers.depth_m)
 
-    def frame_truth(self, i: int, ids: NDArray[np.uint16]) -> tuple[ObjectFrameTruth, ...]:
-        """Every object in frame i, given that frame's id image."""
+    def frame_truth(
+        self, i: int, ids: NDArray[np.uint16], fractions: bool = True
+    ) -> tuple[ObjectFrameTruth, ...]:
+        """Every object in frame i, given that frame's id image. Without fractions, for which every
+        object is drawn alone, visible_fraction is NaN."""
         visible = np.bincount(ids.ravel(), minlength=int(self.gt_ids.max()) + 1)
         return tuple(
-            self._object_frame(i, int(gt_id), int(visible[gt_id]))
+            self._object_frame(i, int(gt_id), int(visible[gt_id]), fractions)
             for gt_id in self.gt_ids[self.gt_ids > 0]
         )
 
@@ -167,11 +170,11 @@ class Scene:
     def _box(self, i: int, slot: int) -> Box:
         return aabb_of_points(apply_T(self.T_world_shape[i, slot], self._hull(slot)))
 
-    def _object_frame(self, i: int, gt_id: int, visible: int) -> ObjectFrameTruth:
+    def _object_frame(self, i: int, gt_id: int, visible: int, fractions: bool) -> ObjectFrameTruth:
         slot = self._slot(gt_id)
         T_world_object = self.T_world_shape[i, slot]
-        fraction = 0.0
-        if visible:
+        fraction = 0.0 if fractions else np.nan
+        if visible and fractions:
             T_camera_object = inverse_T(self.T_world_camera[i]) @ T_world_object
             shape = self.shapes[slot]
             points = apply_T(T_camera_object, shape.vertices.astype(np.float64))

@@ -85,7 +85,7 @@ def samples_of_scene(
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)
-        truth = scene.frame_truth(i, rendered.ids)
+        truth = scene.frame_truth(i, rendered.ids, fractions=False)
         seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
         truths = [scene.object_truth(t.gt_id) for t in seen]
         pairs = zip(truths, seen, strict=True)

@@ -44,8 +44,10 @@ class DiskScene:
         frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera)
         return RenderedFrame(frame, ids, frame.depth_m)
 
-    def frame_truth(self, i: int, ids: NDArray[np.uint16]) -> tuple[ObjectFrameTruth, ...]:
-        """Ground truth of frame i."""
+    def frame_truth(
+        self, i: int, ids: NDArray[np.uint16], fractions: bool = True
+    ) -> tuple[ObjectFrameTruth, ...]:
+        """Ground truth of frame i, as it was written."""
         return self.truth.frames[i]
 
     def others(self, i: int) -> tuple[Box, ...]:

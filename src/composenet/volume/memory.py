@@ -140,8 +140,7 @@ class Memory:
         self._move_window(T_world_camera[:3, 3])
         low = FREE_CELL_M * self._corner.astype(np.float64)
         _empty(self._emptied, low, depth_m, K, inverse_T(T_world_camera), index)
-        known = self._emptied != _NEVER
-        return FreeSpace(known & (np.abs(index - self._emptied) <= self.frames), low)
+        return FreeSpace(_not_older(self._emptied, index, self.frames), low)
 
     def _move_window(self, eye: NDArray[np.float64]) -> None:
         """Such that the camera is in its middle; what falls out is forgotten."""
@@ -167,9 +166,11 @@ def _empty(emptied, low, depth_m, K, T_camera_world, index):
     T = T_camera_world
     for i in range(nx):
         for j in range(ny):
+            a = low[0] + (i + 0.5) * FREE_CELL_M
+            b = low[1] + (j + 0.5) * FREE_CELL_M
+            if _out_of_view(a, b, low[2], low[2] + nz * FREE_CELL_M, height, width, K, T):
+                continue
             for k in range(nz):
-                a = low[0] + (i + 0.5) * FREE_CELL_M
-                b = low[1] + (j + 0.5) * FREE_CELL_M
                 c = low[2] + (k + 0.5) * FREE_CELL_M
                 z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
                 if z <= 0.1:
@@ -188,6 +189,34 @@ def _empty(emptied, low, depth_m, K, T_camera_world, index):
                     emptied[i, j, k] = index
                 elif z <= measured + gap:
                     emptied[i, j, k] = _NEVER
+
+
+@numba.njit(cache=True, nogil=True)
+def _out_of_view(a, b, lowest, highest, height, width, K, T):
+    """Whether the whole vertical line at (a, b) is behind the camera or beyond one border of its
+    image: as both of its ends are, for each of these is a plane."""
+    behind = left = right = above = below = True
+    for c in (lowest, highest):
+        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
+        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
+        z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+        u = K[0, 0] * x + (K[0, 2] + 0.5) * z  # z times the pixel's
+        v = K[1, 1] * y + (K[1, 2] + 0.5) * z
+        behind &= z <= 0.1
+        left &= u < 0
+        right &= u > width * z
+        above &= v < 0
+        below &= v > height * z
+    return behind or left or right or above or below
+
+
+@numba.njit(cache=True, nogil=True)
+def _not_older(emptied, index, frames):
+    """Bool like emptied: marked, and at most so many frames from `index`."""
+    known = np.empty(emptied.size, np.bool_)
+    for cell, when in enumerate(emptied.ravel()):
+        known[cell] = (when != _NEVER) & (abs(index - when) <= frames)
+    return known.reshape(emptied.shape)
 
 
 def _hidden(

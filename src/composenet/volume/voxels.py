@@ -80,20 +80,24 @@ def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
     distance). (H, W) float32 -> the same; invalid pixels (not positive, not finite) become 0."""
     height, width = depth.shape
     out = np.zeros_like(depth)
+    padded = np.zeros((height + 2 * radius, width + 2 * radius), depth.dtype)
+    padded[radius : radius + height, radius : radius + width] = depth
+    limit, total, count = np.empty(width), np.empty(width), np.empty(width)
     for v in range(height):
+        row = depth[v]
         for u in range(width):
-            z = depth[v, u]
-            if not 0 < z < np.inf:
-                continue
-            limit = floor_m + sensor_noise * z * z
-            total, count = 0.0, 0
-            for y in range(max(0, v - radius), min(height, v + radius + 1)):
-                for x in range(max(0, u - radius), min(width, u + radius + 1)):
-                    d = depth[y, x]
-                    if d > 0 and abs(d - z) < limit:
-                        total += d
-                        count += 1
-            out[v, u] = total / count
+            limit[u] = floor_m + sensor_noise * row[u] * row[u] if 0 < row[u] < np.inf else -1.0
+            total[u], count[u] = 0.0, 0.0
+        for y in range(v, v + 2 * radius + 1):
+            for x in range(2 * radius + 1):
+                near = padded[y, x : x + width]
+                for u in range(width):  # no branch within, so that several go at once
+                    like = (near[u] > 0) & (abs(near[u] - row[u]) < limit[u])
+                    total[u] += near[u] if like else np.float32(0)
+                    count[u] += like
+        for u in range(width):
+            if count[u] > 0:
+                out[v, u] = total[u] / count[u]
     return out
 
 
@@ -101,7 +105,6 @@ def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
 def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
     """Back-projected points (grid frame) and normals towards the camera; valid mask."""
     height, width = depth.shape
-    local = np.zeros((height, width, 3), np.float32)
     points = np.zeros((height, width, 3), np.float32)
     valid = np.zeros((height, width), np.bool_)
     for v in range(height):
@@ -110,7 +113,6 @@ def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
             if z > 0.1 and z <= max_depth:
                 x = (u - cx) / fx * z
                 y = (v - cy) / fy * z
-                local[v, u, 0], local[v, u, 1], local[v, u, 2] = x, y, z
                 for a in range(3):
                     points[v, u, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z + t[a]
                 valid[v, u] = True
@@ -131,11 +133,15 @@ def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
                 continue
             if abs(depth[v + step, u] - depth[v - step, u]) > limit:
                 continue
-            a = points[v, u + step] - points[v, u - step]
-            b = points[v + step, u] - points[v - step, u]
-            n0 = b[1] * a[2] - b[2] * a[1]
-            n1 = b[2] * a[0] - b[0] * a[2]
-            n2 = b[0] * a[1] - b[1] * a[0]
+            a0 = points[v, u + step, 0] - points[v, u - step, 0]
+            a1 = points[v, u + step, 1] - points[v, u - step, 1]
+            a2 = points[v, u + step, 2] - points[v, u - step, 2]
+            b0 = points[v + step, u, 0] - points[v - step, u, 0]
+            b1 = points[v + step, u, 1] - points[v - step, u, 1]
+            b2 = points[v + step, u, 2] - points[v - step, u, 2]
+            n0 = b1 * a2 - b2 * a1
+            n1 = b2 * a0 - b0 * a2
+            n2 = b0 * a1 - b1 * a0
             norm = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
             if norm > 1e-9:
                 normals[v, u, 0] = n0 / norm
