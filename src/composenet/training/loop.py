@@ -67,11 +67,14 @@ class Trainer:
                 self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
             self.module.network,
-            avg_fn=_warm_average(config.ema_decay),
+            multi_avg_fn=_warm_average(config.ema_decay),
             use_buffers=True,
         )
         self.optimizer = torch.optim.Adam(
-            self.module.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+            self.module.parameters(),
+            lr=config.learning_rate,
+            weight_decay=config.weight_decay,
+            fused=True,
         )
         if resumed:
             with _fitting(self.checkpoint_path):
@@ -127,15 +130,19 @@ class Trainer:
         return cast(ComposeNet, self.average.module)
 
 
-def _warm_average(decay: float) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
-    """Exponential moving average whose memory is short at first: the start of a run leaves no
-    trace in the weights of a short one."""
+Tensors = tuple[Tensor, ...] | list[Tensor]
 
-    def average(mean: Tensor, value: Tensor, seen: Tensor | int) -> Tensor:
-        if not mean.is_floating_point():
-            return value
-        n = float(seen)
-        return mean + (value - mean) * (1 - min(decay, (1 + n) / (10 + n)))
+
+def _warm_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """Exponential moving average, in place, whose memory is short at first: the start of a run
+    leaves no trace in the weights of a short one."""
+
+    def average(means: Tensors, values: Tensors, seen: Tensor | int) -> None:
+        if means[0].is_floating_point():
+            n = float(seen)
+            torch._foreach_lerp_(means, values, 1 - min(decay, (1 + n) / (10 + n)))
+        else:
+            torch._foreach_copy_(means, values)
 
     return average
 

@@ -33,6 +33,9 @@ class LossModule(nn.Module):
         super().__init__()
         self.config = config
         self.network = ComposeNet(config.model.network, config.model.volume)
+        self.network.requires_grad_(False)
+        for part in _learned(self.network, config):
+            part.requires_grad_(True)
         self.train()
 
     def train(self, mode: bool = True) -> LossModule:
@@ -50,16 +53,14 @@ class LossModule(nn.Module):
         config = self.config
         learns_voxels = config.parts in ("all", "detector")
         learns_boxes = config.parts != "objects"
-        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_voxels):
-            fields = self.network.voxel_fields(batch.volume)
-        with torch.set_grad_enabled(torch.is_grad_enabled() and learns_boxes):
-            proposals: tuple[Proposals, ...] = ()
-            if learns_boxes:
-                proposals = self._proposals(fields, batch, generator)
-            boxes = training_boxes(batch, proposals, generator)
-            corrected = self.network.box_fields(
-                fields, batch.volume, boxes.center, boxes.extents, boxes.frame
-            )
+        fields = self.network.voxel_fields(batch.volume)
+        proposals: tuple[Proposals, ...] = ()
+        if learns_boxes:
+            proposals = self._proposals(fields, batch, generator)
+        boxes = training_boxes(batch, proposals, generator)
+        corrected = self.network.box_fields(
+            fields, batch.volume, boxes.center, boxes.extents, boxes.frame
+        )
         losses: dict[str, Tensor] = {}
         if learns_voxels:
             losses |= detection_losses(fields, batch)
@@ -109,6 +110,15 @@ class LossModule(nn.Module):
             return found
         again = second_look(self.network, fields, batch.volume, found, detection)
         return tuple(a + b for a, b in zip(found, again, strict=True))
+
+
+def _learned(network: ComposeNet, config: TrainingConfig) -> tuple[nn.Module, ...]:
+    """What config.parts trains."""
+    if config.parts == "all":
+        return (network,)
+    if config.parts == "detector":
+        return network.backbone, network.detection, network.boxes
+    return (network.boxes,) if config.parts == "boxes" else (network.objects,)
 
 
 def weighted_sum(losses: dict[str, Tensor], config: TrainingConfig) -> Tensor:
