@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import platform
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +14,7 @@ from pydantic import Field
 from composenet.arguments import parse_command
 from composenet.config import Count, Positive, Share
 from composenet.errors import ComposenetError
+from composenet.process import keep_freed_memory, wait_asleep
 from composenet.sequences.options import SequenceOptions
 
 Variant = Literal["full", "no-compl", "no-corr", "no-corr-no-compl"]
@@ -255,34 +253,9 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point."""
-    _wait_asleep()
-    _keep_freed_memory()
+    wait_asleep()
+    keep_freed_memory()
     sys.exit(_guarded(lambda: parse_command(COMMANDS)))
-
-
-def _wait_asleep() -> None:
-    """Let torch's threads sleep while they wait; to be called before torch is imported.
-
-    By default they spin, and two programs on the same cores take each other's. With
-    OMP_WAIT_POLICY=active in the environment they spin again: faster by a fifth for a program
-    that has the cores to itself.
-    """
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-
-
-def _keep_freed_memory() -> None:
-    """Have the C library keep the memory of tensors that are done with for the next ones.
-
-    By default glibc gives what is large back to the system at once, and clearing it anew takes a
-    tenth of the time of tracking and training. MALLOC_TRIM_THRESHOLD_ in the environment decides
-    instead where it is set. Other C libraries are left as they are.
-    """
-    if platform.libc_ver()[0] != "glibc" or "MALLOC_TRIM_THRESHOLD_" in os.environ:
-        return
-    libc = ctypes.CDLL(None)
-    for number, name, size in ((-1, "TRIM", 2**31 - 1), (-3, "MMAP", 2**30)):  # malloc.h
-        libc.mallopt(number, size)
-        os.environ[f"MALLOC_{name}_THRESHOLD_"] = str(size)  # for processes that this one starts
 
 
 def _guarded(parse: Callable[[], Any]) -> int:
