@@ -140,6 +140,17 @@ def test_camera_is_held_by_a_person_in_the_room(scenes: list[Scene]) -> None:
         assert all(np.median(depth[depth > 0]) > 0.5 for depth in near)
 
 
+def test_truth_without_visible_fractions_is_the_same_otherwise(scenes: list[Scene]) -> None:
+    ids = scenes[0].render(4, color=False).ids
+    whole, less = (scenes[0].frame_truth(4, ids, fractions=wanted) for wanted in (True, False))
+    for entry, other in zip(whole, less, strict=True):
+        assert np.isnan(other.visible_fraction)
+        for name in ("gt_id", "T_world_object", "visible_pixels", "moving"):
+            np.testing.assert_array_equal(getattr(entry, name), getattr(other, name))
+        np.testing.assert_array_equal(entry.box.center, other.box.center)
+        np.testing.assert_array_equal(entry.box.extents, other.box.extents)
+
+
 def test_truth_agrees_with_the_image(scenes: list[Scene]) -> None:
     scene = scenes[0]
     rendered = scene.render(4)

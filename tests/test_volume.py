@@ -40,6 +40,21 @@ def back_projected(view: Frame, max_depth_m: float) -> np.ndarray:
     return apply_T(view.T_world_camera, local)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 9))
+def test_depth_is_smoothed_as_the_docstring_says(seed: int, height: int, width: int) -> None:
+    rng = np.random.default_rng(seed)
+    depth = (1.0 + 0.02 * rng.standard_normal((height, width))).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.3] += 1
+    holes = rng.random(depth.shape) < 0.2
+    depth[holes] = rng.choice([0, -1, np.nan, np.inf], holes.sum())
+    expected = np.zeros_like(depth)
+    for v, u in zip(*np.nonzero((depth > 0) & (depth < np.inf)), strict=True):
+        around = depth[max(0, v - 2) : v + 3, max(0, u - 2) : u + 3].astype(float)
+        limit = 0.015 + 0.006 * float(depth[v, u]) ** 2
+        expected[v, u] = around[np.abs(around - depth[v, u]) < limit].mean()
+    np.testing.assert_allclose(smooth_depth(depth), expected, rtol=1e-6)
+
+
 @given(st.floats(-10, 10), st.floats(-1.4, 1.4))
 def test_quarter_turn_faces_the_camera_along_x(yaw: float, pitch: float) -> None:
     c, s = np.cos(pitch), np.sin(pitch)
