@@ -74,7 +74,7 @@ class Trainer:
             self.module.parameters(),
             lr=config.learning_rate,
             weight_decay=config.weight_decay,
-            fused=True,
+            fused=group.device.type == "cpu" or None,  # None: torch chooses
         )
         if resumed:
             with _fitting(self.checkpoint_path):
