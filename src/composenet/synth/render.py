@@ -174,11 +174,10 @@ def _edge(p, q, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def _inside(row, slope, first, last):  # type: ignore[no-untyped-def]
     """The pixels first .. last without most of those at the ends where row + slope u < 0."""
-    if slope > 0:
-        return max(first, int(max(-row / slope, -1.0)) - 1), last
-    if slope < 0:
-        return first, min(last, int(min(-row / slope, 1e6)) + 1)
-    return first, last
+    if slope == 0:
+        return first, last
+    zero = int(min(max(-row / slope, -1.0), 1e6))
+    return (max(first, zero - 1), last) if slope > 0 else (first, min(last, zero + 1))
 
 
 @numba.njit(cache=True, nogil=True)
