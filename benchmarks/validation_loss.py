@@ -6,7 +6,7 @@ python benchmarks/validation_loss.py WEIGHTS... [--start 300] [--scenes 40] [--o
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +44,7 @@ def main(
     out: Path | None = None,
 ) -> None:
     """Mean loss of each, and its difference from that of the shipped weights, over batches."""
-    config = replace(TrainingConfig(), frames_per_scene=4)
-    batches = fixed_batches(SceneSource("val"), config, scenes, start)
+    batches = fixed_batches(SceneSource("val"), TrainingConfig(), scenes, start, frames=4)
     shipped = losses_of(default_weights(), batches)
     rows = [{"weights": weights_id(default_weights()), "loss": round(float(shipped.mean()), 4)}]
     for path in weights:

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -29,6 +29,7 @@ from composenet.training.data import SceneSource, SceneStream, crop_view, sample
 from composenet.training.disk import disk_scene
 from composenet.training.loop import Trainer, learning_rate, train
 from composenet.training.processes import StopRequest
+from composenet.training.targets import Sample
 from conftest import TINY
 from training_cases import ALONE, CONFIG, batch_of, options
 
@@ -156,6 +157,31 @@ def test_short_sequences_give_what_they_have(recordings: Path) -> None:
     many = replace(CONFIG, frames_per_scene=50)
     rng = np.random.default_rng(0)
     assert len(list(samples_of_scene(disk_scene(recordings, 0), many, rng))) == 6
+
+
+def test_only_what_learns_occupancy_pays_for_it() -> None:
+    source, both = SceneSource(), {}
+    for parts in ("all", "detector"):
+        config = replace(TrainingConfig(parts=parts), frames_per_scene=3)
+        both[parts] = list(samples_of_scene(source.scene(3), config, np.random.default_rng(0)))
+    assert len(both["all"]) == 3
+    for whole, hollow in zip(both["all"], both["detector"], strict=True):
+        for field in fields(Sample):
+            if field.name not in ("volume", "occupancy"):
+                ours, theirs = getattr(whole, field.name), getattr(hollow, field.name)
+                np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(whole.volume.features, hollow.volume.features)
+        assert whole.occupancy.any(axis=(1, 2, 3)).all() and not hollow.occupancy.any()
+
+
+def test_validation_sees_the_same_frames_whatever_the_run() -> None:
+    runs = [
+        data.fixed_batches(SceneSource("val"), TrainingConfig(parts=parts, frames_per_scene=n), 1)
+        for parts, n in (("detector", 3), ("objects", 12))
+    ]
+    ours, theirs = (torch.cat([b.occupancy for b in run]) for run in runs)
+    assert torch.equal(ours, theirs) and ours.any()
+    assert sum(batch.volume.size for batch in runs[0]) == 5
 
 
 def test_walks_start_with_nothing_remembered_or_see_everything_or_come_back() -> None:

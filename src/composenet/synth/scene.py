@@ -133,20 +133,21 @@ class Scene:
             for gt_id in self.gt_ids[self.gt_ids > 0]
         )
 
-    def object_truth(self, gt_id: int) -> ObjectTruth:
-        """What stays the same over the sequence; computed when first asked for."""
-        if gt_id not in self._truths:
+    def object_truth(self, gt_id: int, solid: bool = True) -> ObjectTruth:
+        """What stays the same over the sequence; computed when first asked for. Not solid: all of
+        it but the occupancy, which is empty then."""
+        if (gt_id, solid) not in self._truths:
             shape = self.shape_of(gt_id)
-            self._truths[gt_id] = ObjectTruth(
+            self._truths[gt_id, solid] = ObjectTruth(
                 gt_id=gt_id,
                 class_id=CLASS_NAMES.index(shape.class_name),
                 symmetry=shape.symmetry,
                 extents_m=shape.extents_m,
-                occupancy=occupancy(shape),
+                occupancy=occupancy(shape) if solid else np.zeros((64,) * 3, np.bool_),
                 hull=self._hull(self._slot(gt_id)).astype(np.float32),
                 recipe=shape.style,
             )
-        return self._truths[gt_id]
+        return self._truths[gt_id, solid]
 
     @cached_property
     def objects(self) -> tuple[ObjectTruth, ...]:
@@ -206,7 +207,7 @@ class Scene:
         return self._hulls[slot]
 
     @cached_property
-    def _truths(self) -> dict[int, ObjectTruth]:
+    def _truths(self) -> dict[tuple[int, bool], ObjectTruth]:
         return {}
 
     @cached_property

@@ -37,8 +37,8 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
-POOL_BATCHES = 6
-"""A worker mixes the frames of this many batches."""
+POOL_BATCHES = 24
+"""A worker mixes the frames of this many batches, of some four scenes as a rule."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,9 @@ def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
     """At most frames_per_scene samples of a walk through the scene, every one with what the frames
-    before it on the walk saw; each with a slightly wrong floor height."""
+    before it on the walk saw; each with a slightly wrong floor height. Occupancy is empty where
+    it is augmented for parts that do not learn from it."""
+    solids = not augment or config.parts in ("all", "objects")
     remembers = config.model.volume.memory_frames > 0
     times = walk(scene.n_frames, config.frames_per_scene, rng, LONG_WALKS * remembers)
     count = min(config.frames_per_scene, len(times))
@@ -87,7 +89,7 @@ def samples_of_scene(
             volume.features[:, 6] += rng.normal(0, 0.03)
         truth = scene.frame_truth(i, rendered.ids, fractions=False)
         seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
-        truths = [scene.object_truth(t.gt_id) for t in seen]
+        truths = [scene.object_truth(t.gt_id, solids) for t in seen]
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
         yield make_sample(volume, truths, seen, scene.others(i))
@@ -167,9 +169,11 @@ class SceneStream(IterableDataset):
 
 
 def fixed_batches(
-    source: SceneSource, config: TrainingConfig, n_scenes: int, start: int = 0
+    source: SceneSource, config: TrainingConfig, n_scenes: int, start: int = 0, frames: int = 5
 ) -> list[TrainingBatch]:
-    """The same validation batches every time: frames_per_scene frames of n_scenes scenes."""
+    """The same validation batches every time, however many frames of a scene are learned from:
+    so many frames of n_scenes scenes."""
+    config = replace(config, frames_per_scene=frames)
     rng = np.random.default_rng(1)
     samples: list[Sample] = []
     for index in range(start, start + n_scenes):

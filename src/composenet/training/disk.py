@@ -54,8 +54,8 @@ class DiskScene:
         """None: nothing on disk tells of what is no furniture."""
         return ()
 
-    def object_truth(self, gt_id: int) -> ObjectTruth:
-        """Ground truth of one object."""
+    def object_truth(self, gt_id: int, solid: bool = True) -> ObjectTruth:
+        """Ground truth of one object, as it was written."""
         return next(item for item in self.truth.objects if item.gt_id == gt_id)
 
 
