@@ -67,8 +67,8 @@ def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
     """At most frames_per_scene samples of a walk through the scene, every one with what the frames
-    before it on the walk saw; each with a slightly wrong floor height. Occupancy is empty where
-    it is augmented for parts that do not learn from it."""
+    before it on the walk saw; each with a slightly wrong floor height. Occupancy is empty
+    where the parts in training do not learn from it; validation, not augmented, always has it."""
     solids = not augment or config.parts in ("all", "objects")
     remembers = config.model.volume.memory_frames > 0
     times = walk(scene.n_frames, config.frames_per_scene, rng, LONG_WALKS * remembers)

@@ -39,7 +39,8 @@ def widened(
         )
     config = replace(config, network=replace(config.network, backbone_channels=tuple(channels)))
     wide = ComposeNet(config.network, config.volume)
-    same = {k: v for k, v in network.state_dict().items() if v.shape == wide.state_dict()[k].shape}
+    shapes = {name: value.shape for name, value in wide.state_dict().items()}
+    same = {k: v for k, v in network.state_dict().items() if v.shape == shapes[k]}
     wide.load_state_dict(same, strict=False)
     layers = dict(network.named_modules())
     for name, layer in wide.named_modules():
@@ -75,6 +76,7 @@ def _copy_weights(old: Tensor, new: Tensor, read: Tensor | None = None) -> None:
 
 def _copy_statistics(old: Any, new: nn.BatchNorm1d) -> None:
     """In place: scale, shift and statistics of the channels that were there."""
+    kept = new.state_dict()
     for name, value in old.state_dict().items():
         if value.dim():
-            new.state_dict()[name][: len(value)] = value
+            kept[name][: len(value)] = value
