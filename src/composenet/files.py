@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from composenet.errors import DataError
@@ -18,5 +19,7 @@ def write_atomic(path: Path, data: bytes) -> Path:
         part.write_bytes(data)
         part.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
         raise DataError(f"{path}: cannot be written ({error.strerror})") from None
     return path

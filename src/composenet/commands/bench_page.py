@@ -13,6 +13,7 @@ from composenet.baselines.registry import ROWS
 from composenet.commands.failures import LEGEND, PICTURES, picture, worst_frames
 from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines
 from composenet.commands.scoring import VARIANTS, ScoredSequence
+from composenet.files import write_atomic
 from composenet.metrics.evaluate import bootstrap_interval
 from composenet.metrics.report import RunInfo, to_markdown
 
@@ -37,9 +38,7 @@ def write_page(
         markdown(info, outcomes, cameras),
         _failures(page, outcomes),
     ]
-    partial = page.with_name(f"{page.name}.partial")
-    partial.write_text("\n\n".join(parts) + "\n")
-    partial.replace(page)
+    write_atomic(page, ("\n\n".join(parts) + "\n").encode())
 
 
 def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -> str:

@@ -21,6 +21,7 @@ from composenet.commands.scoring import (
 )
 from composenet.commands.terminal import say
 from composenet.errors import DataError
+from composenet.files import write_atomic
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.predictions import read_predictions
 from composenet.synth.dataset import read_truth
@@ -65,7 +66,7 @@ def run_eval(
     info = RunInfo(data.resolve().name, seed, command, made_with)
     if scores:
         write_results(out / "results.json", info, scores, lines)
-        (out / "results.md").write_text("\n".join([to_markdown(info, scores), *lines]))
+        write_atomic(out / "results.md", "\n".join([to_markdown(info, scores), *lines]).encode())
         for section in sections(scores):
             console.print(tall_table(section))
         paths = f"{out / 'results.json'} and {out / 'results.md'}"

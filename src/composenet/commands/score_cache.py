@@ -10,6 +10,7 @@ from pathlib import Path
 
 import composenet
 from composenet.commands.scoring import ScoredSequence
+from composenet.files import write_atomic
 
 
 class ScoreCache:
@@ -39,10 +40,8 @@ class ScoreCache:
 
     def save(self, sequence: Path, variant: str, scores: ScoredSequence) -> None:
         """Keep the scores; the file appears whole."""
-        path = self._path(sequence, variant)
-        partial = path.with_suffix(".partial")
-        partial.write_bytes(self._key(sequence, variant) + b"\n" + pickle.dumps(scores))
-        partial.replace(path)
+        data = self._key(sequence, variant) + b"\n" + pickle.dumps(scores)
+        write_atomic(self._path(sequence, variant), data)
 
     def _path(self, sequence: Path, variant: str) -> Path:
         return self.folder / f"{sequence.name}.{variant}.pkl"

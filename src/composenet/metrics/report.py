@@ -17,6 +17,7 @@ from typing import Any
 from rich.table import Table
 
 import composenet
+from composenet.files import write_atomic
 from composenet.metrics.detection import mean_over_classes
 from composenet.metrics.evaluate import DatasetScores
 from composenet.records import CLASS_NAMES
@@ -98,11 +99,9 @@ def write_results(
     variants: Mapping[str, DatasetScores],
     failures: Sequence[str] = (),
 ) -> None:
-    """Write results.json, whole or not at all."""
-    partial = path.with_suffix(path.suffix + ".partial")
+    """Write results.json, whole or not at all. Raises DataError."""
     data = results(info, variants, failures)
-    partial.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
-    partial.replace(path)
+    write_atomic(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def sections(variants: Mapping[str, DatasetScores]) -> list[Section]:

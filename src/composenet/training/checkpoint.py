@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import io
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import torch
 
 from composenet.config import from_dict, to_dict
 from composenet.errors import WeightsError
+from composenet.files import write_atomic
 from composenet.training.config import TrainingConfig
 
 FORMAT = "composenet.checkpoint/1"
@@ -37,10 +38,11 @@ class Progress:
 
 
 def write_state(path: Path, state: dict[str, Any]) -> None:
-    """Write atomically: a crash leaves the previous file whole."""
-    partial = path.with_name(path.name + ".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)
+    """Write atomically: a crash leaves the previous file whole. Raises DataError where it cannot be
+    written."""
+    data = io.BytesIO()
+    torch.save(state, data)
+    write_atomic(path, data.getvalue())
 
 
 def read_state(path: Path, form: str, keys: set[str]) -> dict[str, Any]:
