@@ -25,7 +25,8 @@ AT_THE_BOX, BESIDE_IT, BEHIND_IT = [2.5, 0.3, 0.45], [2.5, 1.0, 0.45], [3.5, 0.4
 def space_after(*views: Frame, frames: int = 150) -> FreeSpace:
     memory = Memory(frames)
     for view in views:
-        space = memory.free_space(view.index, view.depth_m, view.camera.K, view.T_world_camera)
+        memory.see_through(view.index, view.depth_m, view.camera.K, view.T_world_camera)
+        space = memory.free_space(view.index)
     return space
 
 

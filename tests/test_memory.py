@@ -15,7 +15,7 @@ from composenet.network.crop_inputs import crop_inputs
 from composenet.records import Box, Frame, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.targets import UNKNOWN, forget_moved
 from composenet.volume.memory import Memory
-from composenet.volume.voxels import FEATURE_NAMES, OLD_FRAMES, Volume, voxelize
+from composenet.volume.voxels import FEATURE_NAMES, OLD_FRAMES, Volume, remember, voxelize
 from tracking_scenes import frame, screen
 
 CONFIG = VolumeConfig(min_pixels=1, max_depth_m=7.0, memory_reach_m=20.0)
@@ -45,6 +45,22 @@ def world(volume: Volume, rows: slice) -> np.ndarray:
 def on_box(points: np.ndarray, box: Box, slack: float = 0.04) -> np.ndarray:
     """(M,) bool: within slack of the box."""
     return (np.abs(points - box.center) <= box.extents / 2 + slack).all(axis=1)
+
+
+@pytest.mark.parametrize("pose_known", [True, False])
+def test_remembering_is_looking_without_telling(pose_known: bool) -> None:
+    """A frame that is only remembered leaves the same for the next one as one that is looked at."""
+    views = [frame(i, RING, 0.4 * i) for i in range(3)]
+    views[1] = replace(views[1], pose_known=pose_known)
+    looked_at = seen_after(*views)
+    memory = Memory(CONFIG.memory_frames)
+    for view in views[:2]:
+        remember(view, CONFIG, None, memory)
+    volume = voxelize(views[2], CONFIG, None, memory)
+    assert volume is not None and len(volume.coords) > volume.n_seen
+    np.testing.assert_array_equal(volume.coords, looked_at.coords)
+    np.testing.assert_array_equal(volume.features, looked_at.features)
+    np.testing.assert_array_equal(volume.free.cells, looked_at.free.cells)
 
 
 @pytest.mark.parametrize(("yaw", "turn"), [(0.0, 0.5), (1.1, -0.3), (-3.0, 0.9), (2.0, 0.05)])

@@ -107,6 +107,24 @@ def test_offsets_lead_to_the_mean_point() -> None:
     np.testing.assert_allclose(2 * volume.features[:, 6], world_centers(volume)[:, 2], atol=1e-5)
 
 
+def test_features_of_the_view_against_a_slow_look_up() -> None:
+    """Voxel by voxel, by the words of FEATURE_NAMES."""
+    view = frame(0, [BOX], 0.7)
+    volume = voxels(view)
+    eye, points = np.asarray(view.T_world_camera)[:3, 3], back_projected(view, CONFIG.max_depth_m)
+    R, centers = volume.T_world_grid[:3, :3], world_centers(volume)
+    for n in range(0, len(centers), 37):
+        ray = R.T @ (centers[n] - eye)
+        x, y = ray[:2]
+        count = (np.abs(points - centers[n]) < volume.voxel_size_m / 2).all(axis=1).sum()
+        expected = [np.linalg.norm(ray) / 4, x / np.hypot(x, y), y / np.hypot(x, y)]
+        np.testing.assert_allclose(volume.features[n, 7:10], expected, atol=1e-5)
+        assert np.exp(4 * volume.features[n, 10]) == pytest.approx(count, abs=1.5)
+        assert volume.features[n, 11] == 0
+        length = np.linalg.norm(volume.features[n, 3:6])
+        assert length == 0 or length == pytest.approx(1, abs=1e-5)
+
+
 def test_labels_are_the_majority_of_the_pixels() -> None:
     view = frame(0, [BOX])
     ids = np.where(view.depth_m < 3.2, 7, 0).astype(np.uint16)

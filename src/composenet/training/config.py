@@ -60,7 +60,7 @@ class TrainingConfig:
     """objects a frame that are completed and posed (paper: up to 10 proposals)"""
     gradient_clip: Positive = 5.0
     ema_decay: Share = 0.999
-    frames_per_scene: Count = 12
+    frames_per_scene: Count = 16
     min_visible_pixels: Count = 50
     """objects with fewer are no target"""
     seed: Annotated[int, Field(ge=0)] = 0

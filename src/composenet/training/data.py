@@ -24,7 +24,7 @@ from composenet.training.targets import (
     make_sample,
 )
 from composenet.volume.memory import Memory
-from composenet.volume.voxels import voxelize
+from composenet.volume.voxels import remember, voxelize
 
 LONGEST_STEP = 4
 """Frames between one look and the next, at most."""
@@ -37,7 +37,7 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
-POOL_BATCHES = 24
+POOL_BATCHES = 32
 """A worker mixes the frames of this many batches, of some four scenes as a rule."""
 
 
@@ -82,8 +82,11 @@ def samples_of_scene(
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
             if rng.random() < 0.3:
                 frame, ids = crop_view(frame, ids, rng)
+        if place not in taken:
+            remember(frame, config.model.volume, ids, memory)
+            continue
         volume = voxelize(frame, config.model.volume, ids, memory)
-        if volume is None or place not in taken:
+        if volume is None:
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)

@@ -128,19 +128,26 @@ class Memory:
         height = surface.points[:, 2]
         self._surface = surface[(height > LOWEST_M) & (height < HIGHEST_M)]
 
-    def free_space(
+    def see_through(
         self,
         index: int,
         depth_m: NDArray[np.float32],
         K: NDArray[np.float64],
         T_world_camera: NDArray[np.float64],
-    ) -> FreeSpace:
-        """Space around the camera that frame `index` or one before it saw to be empty, and where
-        none has seen a surface since; world frame."""
+    ) -> None:
+        """Keep which space around the camera frame `index` sees to be empty."""
         self._move_window(T_world_camera[:3, 3])
-        low = FREE_CELL_M * self._corner.astype(np.float64)
-        _empty(self._emptied, low, depth_m, K, inverse_T(T_world_camera), index)
-        return FreeSpace(_not_older(self._emptied, index, self.frames), low)
+        _empty(self._emptied, self._low, depth_m, K, inverse_T(T_world_camera), index)
+
+    def free_space(self, index: int) -> FreeSpace:
+        """Space around the camera of the last frame, `index`, that it or one before it saw to be
+        empty, and where none has seen a surface since; world frame."""
+        return FreeSpace(_not_older(self._emptied, index, self.frames), self._low)
+
+    @property
+    def _low(self) -> NDArray[np.float64]:
+        """(3,) corner of the window, metres."""
+        return FREE_CELL_M * self._corner.astype(np.float64)
 
     def _move_window(self, eye: NDArray[np.float64]) -> None:
         """Such that the camera is in its middle; what falls out is forgotten."""

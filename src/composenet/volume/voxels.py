@@ -219,6 +219,70 @@ def voxelize(
     frames saw, which is added where this one cannot see; it then remembers this frame too. A
     frame whose pose is unknown adds nothing and is not remembered.
     """
+    seen = _look(frame, config, ids, memory)
+    if seen is None:
+        return None
+    old, low, size, R = seen.old, seen.low, config.voxel_size_m, seen.R_world_grid
+    coords, features, labels = seen.coords, seen.features, seen.own.labels
+    if len(old):
+        cells = seen.cells
+        recalled = _features(cells, _sums(old, cells, low, size), low, size, seen.eye)
+        recalled[:, -1] = 0.5 + 0.5 * (np.abs(frame.index - old.seen) / OLD_FRAMES).clip(0, 1)
+        coords = np.concatenate([coords, cells])
+        features = np.concatenate([features, recalled])
+        labels = np.concatenate([labels, old.labels])
+    T_world_grid = make_T(R, R @ low)
+    beyond = config.memory_reach_m
+    free = seen.memory.free_space(frame.index).turned(R.T)
+    free = free.within(low - beyond, low + np.array(seen.shape) * size + beyond)
+    return Volume(
+        coords=coords,
+        features=features,
+        labels=labels,
+        n_seen=len(seen.own),
+        free=replace(free, low=free.low - low),
+        shape=seen.shape,
+        voxel_size_m=size,
+        T_world_grid=T_world_grid,
+        depth_m=seen.depth_m,
+        K=np.asarray(frame.camera.K, dtype=np.float64),
+        T_camera_grid=np.linalg.inv(frame.T_world_camera) @ T_world_grid,
+    )
+
+
+def remember(
+    frame: Frame, config: VolumeConfig, ids: NDArray[np.integer] | None, memory: Memory
+) -> None:
+    """What `voxelize` does to the memory, in less time."""
+    _look(frame, config, ids, memory)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a frame sees, and what it cannot see and memory has near it, in the grid's axes from
+    the world's origin. own: voxels of the frame, at coords; features: of these. old: remembered
+    ones, in cells. eye: the camera's place. memory: that of the recording, or one of this frame."""
+
+    own: Surface
+    coords: NDArray[np.int32]
+    features: NDArray[np.float32]
+    old: Surface
+    cells: NDArray[np.int32]
+    low: NDArray[np.float64]
+    shape: tuple[int, int, int]
+    R_world_grid: NDArray[np.float64]
+    eye: NDArray[np.float64]
+    depth_m: NDArray[np.float32]
+    memory: Memory
+
+
+def _look(
+    frame: Frame,
+    config: VolumeConfig,
+    ids: NDArray[np.integer] | None,
+    memory: Memory | None,
+) -> _Look | None:
+    """The frame's own surface, remembered from now on; None where it has no usable depth."""
     T_world_camera = np.array(frame.T_world_camera, dtype=np.float64)
     R = quarter_turn(T_world_camera)
     T_turned_camera = T_world_camera.copy()
@@ -232,11 +296,9 @@ def voxelize(
     )  # fmt: skip
     if valid.sum() < 100:
         return None
-    memory = memory if frame.pose_known else None
-    free = (memory or Memory(0)).free_space(frame.index, depth_m, K, T_world_camera).turned(R.T)
-    old = Surface.nothing()
-    if memory is not None:
-        old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
+    memory = memory if memory is not None and frame.pose_known else Memory(0)
+    memory.see_through(frame.index, depth_m, K, T_world_camera)
+    old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
     depth_m[depth_m > config.max_depth_m] = 0
     seen_low, seen_high = _span(points, valid)
     near = _near(old.points, seen_low, seen_high, config.memory_reach_m)
@@ -246,31 +308,17 @@ def voxelize(
     coords, sums, labels = _accumulate(points, normals, valid, ids, low, size, shape)
     solid = sums[:, 0] >= config.min_pixels
     coords, sums, labels = coords[solid], sums[solid], labels[solid]
-    n_seen = len(coords)
-    if n_seen == 0:
+    if len(coords) == 0:
         return None
     features = _features(coords, sums, low, size, eye)
-    if memory is not None:
-        seen = np.full(n_seen, frame.index, np.int64)
-        means = (coords + features[:, :3]) * size + low
-        own = Surface(means, features[:, 3:6], sums[:, 0], labels, seen)
-        cells = np.floor((old.points - low) / size + 0.5).astype(np.int32)
-        unlike = _unlike(cells, coords, shape)
-        memory.remember((old[unlike] + own).turned(R))
-        old, cells = old[unlike & near], cells[unlike & near]
-        recalled = _features(cells, _sums(old, cells, low, size), low, size, eye)
-        recalled[:, -1] = 0.5 + 0.5 * (np.abs(frame.index - old.seen) / OLD_FRAMES).clip(0, 1)
-        coords = np.concatenate([coords, cells])
-        features = np.concatenate([features, recalled])
-        labels = np.concatenate([labels, old.labels])
-    T_world_grid = make_T(R, R @ low)
-    T_camera_grid = np.linalg.inv(T_world_camera) @ T_world_grid
-    beyond = config.memory_reach_m
-    free = free.within(low - beyond, low + np.array(shape) * size + beyond)
-    free = replace(free, low=free.low - low)
-    return Volume(
-        coords, features, labels, n_seen, free, shape, size, T_world_grid, depth_m, K, T_camera_grid
-    )
+    means = (coords + features[:, :3]) * size + low
+    seen = np.full(len(coords), frame.index, np.int64)
+    own = Surface(means, features[:, 3:6], sums[:, 0], labels, seen)
+    cells = np.floor((old.points - low) / size + 0.5).astype(np.int32)
+    unlike = _unlike(cells, coords, shape)
+    memory.remember((old[unlike] + own).turned(R))
+    old, cells = old[unlike & near], cells[unlike & near]
+    return _Look(own, coords, features, old, cells, low, shape, R, eye, depth_m, memory)
 
 
 def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> NDArray[np.float32]:
@@ -322,14 +370,28 @@ def _unlike(
 
 
 def _features(coords, sums, low, size, camera_position) -> NDArray[np.float32]:
-    count = sums[:, :1]
-    offset = sums[:, 1:4] / count
-    normal = sums[:, 4:7]
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    centers = coords * size + low
-    ray = centers - camera_position
-    distance = np.linalg.norm(ray, axis=1, keepdims=True)
-    view = ray[:, :2] / np.maximum(np.linalg.norm(ray[:, :2], axis=1, keepdims=True), 1e-6)
-    age = np.zeros_like(count)
-    columns = (offset, normal, centers[:, 2:] / 2, distance / 4, view, np.log(count) / 4, age)
-    return np.concatenate(columns, axis=1).astype(np.float32)
+    """(N, len(FEATURE_NAMES)) of voxels (N, 3) and their sums (see `_accumulate`); age 0."""
+    features: NDArray[np.float32] = _without_count(coords, sums, low, size, camera_position)
+    features[:, 10] = np.log(sums[:, 0]) / 4
+    return features
+
+
+@numba.njit(cache=True, nogil=True)
+def _without_count(coords, sums, low, size, camera_position):
+    out = np.zeros((len(coords), len(FEATURE_NAMES)), np.float32)
+    ray = np.empty(3)
+    for n in range(len(coords)):
+        count, total = sums[n, 0], np.float32(0)
+        for a in range(3):
+            total += sums[n, 4 + a] * sums[n, 4 + a]
+            ray[a] = coords[n, a] * size + low[a] - camera_position[a]
+        length = max(np.sqrt(total), np.float32(1e-6))
+        level = ray[0] * ray[0] + ray[1] * ray[1]
+        for a in range(3):
+            out[n, a] = sums[n, 1 + a] / count
+            out[n, 3 + a] = sums[n, 4 + a] / length
+        out[n, 6] = (coords[n, 2] * size + low[2]) / 2
+        out[n, 7] = np.sqrt(level + ray[2] * ray[2]) / 4
+        out[n, 8] = ray[0] / max(np.sqrt(level), 1e-6)
+        out[n, 9] = ray[1] / max(np.sqrt(level), 1e-6)
+    return out
