@@ -246,7 +246,7 @@ def voxelize(
         T_world_grid=T_world_grid,
         depth_m=seen.depth_m,
         K=np.asarray(frame.camera.K, dtype=np.float64),
-        T_camera_grid=np.linalg.inv(frame.T_world_camera) @ T_world_grid,
+        T_camera_grid=np.linalg.inv(seen.T_world_camera) @ T_world_grid,
     )
 
 
@@ -261,7 +261,8 @@ def remember(
 class _Look:
     """What a frame sees, and what it cannot see and memory has near it, in the grid's axes from
     the world's origin. own: voxels of the frame, at coords; features: of these. old: remembered
-    ones, in cells. eye: the camera's place. memory: that of the recording, or one of this frame."""
+    ones, in cells. eye: the camera's place. T_world_camera: (4, 4) float64, whatever the frame's.
+    memory: that of the recording, or one of this frame."""
 
     own: Surface
     coords: NDArray[np.int32]
@@ -270,6 +271,7 @@ class _Look:
     cells: NDArray[np.int32]
     low: NDArray[np.float64]
     shape: tuple[int, int, int]
+    T_world_camera: NDArray[np.float64]
     R_world_grid: NDArray[np.float64]
     eye: NDArray[np.float64]
     depth_m: NDArray[np.float32]
@@ -318,7 +320,9 @@ def _look(
     unlike = _unlike(cells, coords, shape)
     memory.remember((old[unlike] + own).turned(R))
     old, cells = old[unlike & near], cells[unlike & near]
-    return _Look(own, coords, features, old, cells, low, shape, R, eye, depth_m, memory)
+    return _Look(
+        own, coords, features, old, cells, low, shape, T_world_camera, R, eye, depth_m, memory
+    )
 
 
 def _sums(old: Surface, cells: NDArray[np.int32], low: NDArray, size: float) -> NDArray[np.float32]:
