@@ -132,7 +132,7 @@ def test_the_f2f_gt_row_is_the_same_for_any_number_of_workers_and_after_an_inter
 def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> None:
     row = registry.ROWS["f2f-gt"]
     shifted, seen = (
-        bench.score_system(three / "val_00000", row, Cameras.GIVEN, shifted=shifted)
+        bench.score_system(three / "val_00000", row, Cameras.GIVEN, device="cpu", shifted=shifted)
         for shifted in (True, False)
     )
     assert shifted.scores.clear.mota > seen.scores.clear.mota + 0.3
@@ -241,6 +241,10 @@ BAD = [
     (["--data", "{data}", "--out", "{tmp}/o", "--camera", "guessed"], "guessed"),
     (["--data", "{data}", "--out", "{tmp}/o", "--workers", "0"], "--workers"),
     (["--data", "{data}", "--out", "{tmp}/o", "--weights", "{tmp}/none"], "none"),
+    (
+        ["--data", "{data}", "--out", "{tmp}/o", "--methods", "f2f-gt", "--device", "cuda:99"],
+        "--device cuda:99",
+    ),
 ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from composenet.baselines import mask_rcnn, torchvision_ops
+from composenet.baselines import mask_rcnn, registry, torchvision_ops
 from composenet.baselines.mask_rcnn import MaskRcnnMasks, distinct, mask_rcnn_weights
 from composenet.baselines.records import InstanceMasks
 from composenet.baselines.torchvision_ops import import_torchvision
@@ -24,7 +24,7 @@ except WeightsError as error:
 
 import train_mask_rcnn
 
-from composenet.baselines import mask_rcnn_data
+from composenet.baselines import mask_rcnn_data, mask_rcnn_network
 from composenet.baselines.mask_rcnn_data import FrameStream, make_sample, samples_of_scene
 from composenet.baselines.mask_rcnn_network import (
     MaskRcnnConfig,
@@ -222,6 +222,20 @@ def test_masks_of_a_frame(weights: Path) -> None:
         assert set(masks.class_ids.tolist()) <= set(range(len(CLASS_NAMES)))
     with pytest.raises(DataError, match="needs colour"):
         source(frame(None))
+
+
+def test_masks_come_from_the_device_that_is_asked_for(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    monkeypatch.setattr(mask_rcnn, "mask_rcnn_weights", lambda: weights)
+    note = lambda path, device: (asked.append((path, device)), {})  # noqa: E731
+    monkeypatch.setattr(mask_rcnn_network, "load_network", note)
+    for name in ("f2f-mask-rcnn", "maskfusion", "midfusion"):
+        mask_rcnn._network.cache_clear()
+        registry.ROWS[name].masks(Path("any"), "cuda:1")
+    assert asked == [(weights, "cuda:1")] * 3
+    mask_rcnn._network.cache_clear()
 
 
 def test_what_is_shown_twice_or_uncertain_is_dropped() -> None:

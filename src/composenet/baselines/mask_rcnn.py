@@ -43,10 +43,11 @@ def mask_rcnn_weights() -> Path:
 
 
 class MaskRcnnMasks:
-    """The network as a source of masks. Raises WeightsError where the weights cannot be used."""
+    """The network as a source of masks. device: torch's name of it. Raises
+    WeightsError where the weights cannot be used."""
 
-    def __init__(self, weights: Path | None = None) -> None:
-        self._network = _network(weights or mask_rcnn_weights())
+    def __init__(self, weights: Path | None = None, *, device: str = "cpu") -> None:
+        self._network = _network(weights or mask_rcnn_weights(), device)
 
     def __call__(self, frame: Frame) -> InstanceMasks:
         """What the systems are given, strongest first. Raises DataError for a frame without
@@ -70,9 +71,9 @@ class MaskRcnnMasks:
         )
 
 
-def mask_rcnn_masks(_folder: Path) -> MaskRcnnMasks:
+def mask_rcnn_masks(_folder: Path, device: str) -> MaskRcnnMasks:
     """The shipped network, whatever the sequence."""
-    return MaskRcnnMasks()
+    return MaskRcnnMasks(device=device)
 
 
 def distinct(found: InstanceMasks) -> InstanceMasks:
@@ -87,11 +88,11 @@ def distinct(found: InstanceMasks) -> InstanceMasks:
 
 
 @cache
-def _network(weights: Path) -> MaskRCNN:
-    """Read once a process, on the CPU, with one thread: sequences run in parallel processes."""
+def _network(weights: Path, device: str) -> MaskRCNN:
+    """Read once a process, with one thread on the CPU: sequences run in parallel processes."""
     import torch
 
     from composenet.baselines.mask_rcnn_network import load_network
 
     torch.set_num_threads(1)
-    return load_network(weights)[0]
+    return load_network(weights, device)[0]

@@ -76,13 +76,14 @@ class ComparisonSystem(Protocol):
 class Row:
     """A system of the benchmark's table.
 
-    make: a fresh system for a recording. masks: their source for a sequence folder. weights: of
-    its networks, if it has any; the file is part of what made the scores. told: what of the
-    ground truth it is given beside the start of each track, for the table; None if nothing.
+    make: a fresh system for a recording. masks: their source for a sequence folder, and torch's
+    name of the device that its network runs on. weights: of these, if it has any; the file
+    is part of what made the scores. told: what of the ground truth it is given beside the start of
+    each track, for the table; None if nothing.
     """
 
     make: Callable[[Cameras], ComparisonSystem]
-    masks: Callable[[Path], MaskSource]
+    masks: Callable[[Path, str], MaskSource]
     weights: Callable[[], Path] | None = None
     told: str | None = None
 

@@ -34,7 +34,7 @@ METHODS = (*ROWS, *reversed(VARIANTS))
 
 @dataclass(frozen=True)
 class Asked:
-    """What all rows share. weights: of our own network."""
+    """What all rows share. weights: of our own network. device: of every network."""
 
     cameras: Cameras
     weights: Path | None
@@ -94,9 +94,12 @@ def chosen_methods(asked: Sequence[str]) -> list[str]:
 def score_methods(folder: Path, names: Sequence[str], *, asked: Asked) -> dict[str, ScoredSequence]:
     """Some rows over one sequence."""
     if not _ours_together(names[0], asked.cameras):
+        from composenet.pipeline import select_device
+
+        device = str(select_device(asked.device))
         rows = {name: ROWS[name] if name in ROWS else _own_row(name, asked) for name in names}
         return {
-            name: score_system(folder, row, asked.cameras, shifted=name in ROWS)
+            name: score_system(folder, row, asked.cameras, device=device, shifted=name in ROWS)
             for name, row in rows.items()
         }
     from composenet.commands.variants import score_variants
@@ -131,10 +134,12 @@ def made_by(name: str) -> list[str]:
 
 def _checked(names: Sequence[str], asked: Asked) -> Asked:
     """With the weights filled in where our own network runs; what is wrong is said once."""
+    from composenet.pipeline import load_tracker, select_device
+
+    select_device(asked.device)
     if not set(names) & set(VARIANTS):
         return Asked(asked.cameras, None, asked.device)
     from composenet.network.weights import default_weights
-    from composenet.pipeline import load_tracker
 
     weights = asked.weights or default_weights()
     load_tracker(weights, device=asked.device)
@@ -173,7 +178,7 @@ def _own_row(name: str, asked: Asked) -> Row:
 
     torch.set_num_threads(1)
     tracker = load_tracker(asked.weights, device=asked.device, **VARIANTS[name])
-    return Row(lambda _: OwnCamera(tracker), lambda _: no_masks, told="nothing")
+    return Row(lambda _: OwnCamera(tracker), lambda *_: no_masks, told="nothing")
 
 
 def _origin(data: Path, names: Sequence[str], asked: Asked) -> RunInfo:
