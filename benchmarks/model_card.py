@@ -77,15 +77,21 @@ def about(path: Path) -> str:
 
 
 def figures(identity: str, folder: Path) -> list[str]:
-    """Tables of all results made with these weights, and a line on the others."""
+    """Tables of all results made with these weights, and a line on the others. A comparison
+    with other systems has a page of its own, and is left out."""
     runs = {path.name: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
-    scored = {name: run for name, run in runs.items() if "variants" in run}
+    scored = {name: run for name, run in runs.items() if _is_ours(run)}
     own = {name: run for name, run in scored.items() if run["weights"] == identity}
     parts = [*_overall(own), *_by_class(own), *_pictures(runs, identity)]
     others = [f"{name} ({scored[name]['weights']})" for name in scored if name not in own]
     if others:
         parts.append(f"Made with other weights, so not shown here: {', '.join(others)}.")
     return parts
+
+
+def _is_ours(run: Mapping[str, Any]) -> bool:
+    """Scores of our variants and of nothing else."""
+    return "variants" in run and set(run["variants"]) <= set(WAYS)
 
 
 def _overall(runs: Mapping[str, Any]) -> list[str]:
@@ -95,7 +101,6 @@ def _overall(runs: Mapping[str, Any]) -> list[str]:
         (f"{run['data']}, {variant}", *(_number(values[key]) for key in COLUMNS))
         for run in runs.values()
         for variant, values in run["variants"].items()
-        if variant in WAYS  # and not a comparison system
     ]
     origin = [
         f"- `{name}`: commit {run['commit']}, {run['date']}, seed {run['seed']}, "

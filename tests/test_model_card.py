@@ -29,11 +29,18 @@ def results(tmp_path: Path) -> Path:
         "seconds_per_frame_median": None,
         "mota_per_class": per_class | {"bed": -65.8, "sink": None},
     }
-    run = {"data": "tiny", "commit": "abc", "date": "2026-01-01", "seed": 0, "hardware": "one core"}
-    rows = {"full": variant, "f2f-gt": variant}
-    run |= {"command": "composenet bench", "weights": "w sha256:1", "variants": rows}
+    run: dict[str, object] = {
+        "data": "tiny",
+        "commit": "abc",
+        "date": "2026-01-01",
+        "seed": 0,
+        "hardware": "one core",
+    }
+    run |= {"weights": "w sha256:1", "variants": {"full": variant}}
     (tmp_path / "own.json").write_text(json.dumps(run))
     (tmp_path / "old.json").write_text(json.dumps(run | {"weights": "w sha256:0", "data": "past"}))
+    comparison = run | {"data": "many", "variants": {"full": variant, "f2f-gt": variant}}
+    (tmp_path / "comparison.json").write_text(json.dumps(comparison))
     (tmp_path / "parity.json").write_text("{}")
     return tmp_path
 
@@ -41,7 +48,7 @@ def results(tmp_path: Path) -> Path:
 def test_only_figures_of_these_weights_are_shown(results: Path) -> None:
     text = "\n".join(figures("w sha256:1", results))
     assert "| tiny, full | 3 | 12.3 |" in text and "past" not in text
-    assert "f2f-gt" not in text  # a comparison system has no share in these weights
+    assert "f2f-gt" not in text and "many" not in text  # a comparison has a page of its own
     assert "not shown here: old.json (w sha256:0)." in text
     assert "| tiny, MOTA | 50.0 | -65.8 |" in text and "- tiny: bed (-66)" in text
     assert "not shown here: old.json" in text and "Confidence" not in text
