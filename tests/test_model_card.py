@@ -36,7 +36,8 @@ def results(tmp_path: Path) -> Path:
         "seed": 0,
         "hardware": "one core",
     }
-    run |= {"weights": "w sha256:1", "variants": {"full": variant}}
+    run |= {"command": "composenet eval", "weights": "w sha256:1"}
+    run |= {"variants": {"full": variant}}
     (tmp_path / "own.json").write_text(json.dumps(run))
     (tmp_path / "old.json").write_text(json.dumps(run | {"weights": "w sha256:0", "data": "past"}))
     comparison = run | {"data": "many", "variants": {"full": variant, "f2f-gt": variant}}
