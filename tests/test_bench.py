@@ -17,9 +17,9 @@ import pytest
 from rich.console import Console
 
 import composenet
-from composenet import cli
+from composenet import cli, pipeline
 from composenet.baselines import registry
-from composenet.baselines.records import Cameras
+from composenet.baselines.records import Cameras, MaskSource
 from composenet.commands import bench, jobs
 from composenet.commands.score_cache import ScoreCache, sources_of
 from composenet.commands.scoring import VARIANTS, ScoredSequence
@@ -136,6 +136,23 @@ def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> 
         for shifted in (True, False)
     )
     assert shifted.scores.clear.mota > seen.scores.clear.mota + 0.3
+
+
+def test_masks_are_asked_for_on_the_device_that_was_chosen(
+    three: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def noted(folder: Path, device: str) -> MaskSource:
+        seen.append(device)
+        return registry.ROWS["f2f-gt"].masks(folder, device)
+
+    rows = {"f2f-gt": replace(registry.ROWS["f2f-gt"], masks=noted)}
+    monkeypatch.setattr(bench, "ROWS", rows)
+    monkeypatch.setattr(pipeline, "select_device", lambda name: f"{name}:1")
+    asked = bench.Asked(Cameras.GIVEN, None, "cuda")
+    assert list(bench.score_methods(three / "val_00000", ["f2f-gt"], asked=asked)) == ["f2f-gt"]
+    assert seen == ["cuda:1"]
 
 
 def dies_of_one(folder: Path, names: tuple[str, ...]) -> dict[str, ScoredSequence]:

@@ -228,14 +228,17 @@ def test_masks_come_from_the_device_that_is_asked_for(
     weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
+
+    def note(path: Path, device: str) -> tuple[None, dict]:
+        asked.append((path, device))
+        return None, {}
+
     monkeypatch.setattr(mask_rcnn, "mask_rcnn_weights", lambda: weights)
-    note = lambda path, device: (asked.append((path, device)), {})  # noqa: E731
     monkeypatch.setattr(mask_rcnn_network, "load_network", note)
-    for name in ("f2f-mask-rcnn", "maskfusion", "midfusion"):
-        mask_rcnn._network.cache_clear()
-        registry.ROWS[name].masks(Path("any"), "cuda:1")
-    assert asked == [(weights, "cuda:1")] * 3
-    mask_rcnn._network.cache_clear()
+    for device in ("cuda:1", "cuda:2"):  # once a process and device, for all rows
+        for name in ("f2f-mask-rcnn", "maskfusion", "midfusion"):
+            registry.ROWS[name].masks(Path("any"), device)
+    assert asked == [(weights, "cuda:1"), (weights, "cuda:2")]
 
 
 def test_what_is_shown_twice_or_uncertain_is_dropped() -> None:

@@ -29,15 +29,8 @@ def results(tmp_path: Path) -> Path:
         "seconds_per_frame_median": None,
         "mota_per_class": per_class | {"bed": -65.8, "sink": None},
     }
-    run: dict[str, object] = {
-        "data": "tiny",
-        "commit": "abc",
-        "date": "2026-01-01",
-        "seed": 0,
-        "hardware": "one core",
-    }
-    run |= {"command": "composenet eval", "weights": "w sha256:1"}
-    run |= {"variants": {"full": variant}}
+    run = {"data": "tiny", "commit": "abc", "date": "2026-01-01", "seed": 0, "hardware": "one core"}
+    run |= {"command": "composenet eval", "weights": "w sha256:1", "variants": {"full": variant}}
     (tmp_path / "own.json").write_text(json.dumps(run))
     (tmp_path / "old.json").write_text(json.dumps(run | {"weights": "w sha256:0", "data": "past"}))
     comparison = run | {"data": "many", "variants": {"full": variant, "f2f-gt": variant}}
