@@ -192,6 +192,7 @@ def test_a_perfect_correction_costs_nothing_but_quality() -> None:
     fields = corrected(batch, boxes, [0.0, 0.0, 0.0])
     losses = box_losses(fields, batch, boxes)
     assert losses["box"].item() == pytest.approx(0, abs=1e-5)
+    assert losses["place"].item() == pytest.approx(0, abs=1e-5)
     assert losses["box_class"].item() == pytest.approx(0, abs=1e-5)
     assert losses["quality"].item() == pytest.approx(np.log(2))
     sure = replace(fields, quality=torch.tensor([20.0, 20, -20]))  # the third shows nothing
@@ -211,6 +212,18 @@ def test_the_cost_of_a_box_by_hand(side: float, share: float) -> None:
     grown = replace(corrected(batch, boxes, [0.0]), extents=1.2 * batch.extents)
     expected = 3 * np.log(1.2) + 1 - 1.2**-3
     assert box_losses(grown, batch, boxes)["box"].item() == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(("gap_m", "cost"), [(0, 0), (0.25, 1 - np.exp(-1)), (1.0, 1)])
+def test_the_cost_of_a_place_by_hand(gap_m: float, cost: float) -> None:
+    """Rises around the distance at which centres match, and hardly pulls at what is far off."""
+    batch = one_object()
+    boxes = matched(batch, [0.2])
+    fields = corrected(batch, boxes, [gap_m / float(batch.extents[0, 0])])
+    loss = box_losses(fields, batch, boxes)["place"]
+    assert loss.item() == pytest.approx(cost, abs=1e-5)
+    loss.backward()
+    assert (fields.center.grad.norm().item() < 1e-4) == (gap_m != 0.25)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +274,7 @@ def test_no_positive_boxes(batch: TrainingBatch) -> None:
         torch.zeros(n, 10, requires_grad=True),
     )
     losses = box_losses(fields, batch, boxes)
-    assert not losses["box"] and not losses["box_class"]
+    assert not losses["box"] and not losses["place"] and not losses["box_class"]
     assert losses["quality"].item() == pytest.approx(np.log(2))
     sum(losses.values()).backward()
     assert (fields.quality.grad > 0).all() and not fields.class_logits.grad.any()

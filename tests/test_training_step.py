@@ -31,7 +31,8 @@ def changed(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> 
 
 
 SAME_FOR_ALL_BINS = {"heading.score.3.bias"}  # a softmax does not feel it: its gradient is rounding
-DETECTOR_LOSSES = {"objectness", "center", "extent", "class", "box", "box_class", "quality"}
+BOX_LOSSES = {"box", "place", "box_class", "quality"}
+DETECTOR_LOSSES = {"objectness", "center", "extent", "class"} | BOX_LOSSES
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -71,7 +72,7 @@ def test_only_the_second_look_learns(recordings: Path, tmp_path: Path) -> None:
     assert not parts["backbone"] and not parts["detection"] and "objects" not in parts
     learned = {name for name, _ in trainer.module.network.boxes.named_parameters()}
     assert learned == parts["boxes"]
-    assert set(values[0]) == {"box", "box_class", "quality", "total", "gradient_norm"}
+    assert set(values[0]) == BOX_LOSSES | {"total", "gradient_norm"}
 
 
 def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ class LossWeights:
     translation: float = 0.1
     scale: float = 0.1
     box: float = 1.0
+    place: float = 2.0
     quality: float = 1.0
     box_class: float = 1.0
     heading: float = 1.0

@@ -78,7 +78,11 @@ NEAR_M = 0.6
 
 def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) -> dict[str, Tensor]:
     """Box (places as shares of the true sides, of NEAR_M where those are longer, sizes as shares of
-    the true ones, and IoU), quality and class.
+    the true ones, and IoU), place, quality and class.
+
+    Place is nearly 0 within the distance at which centres match (MATCH_GATE_M) and nearly 1 beyond
+    twice that: it asks for one likely place where several are possible, and does not pull at what
+    one view cannot show.
 
     The quality that is taught is half overlap, half place: the one rises from 0 to 1 as the
     corrected box's IoU does from 0.1 to 0.6, the other is 1 where the centre can match
@@ -94,7 +98,7 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
         overlap = paired_iou(center, extents, batch.center[own], batch.extents[own])
         right = (center - batch.center[own]).norm(dim=1) < MATCH_GATE_M
         quality[touching] = (((overlap - 0.1) / 0.5).clamp(0, 1) + right) / 2
-    losses = {name: 0 * fields.class_logits.sum() for name in ("box", "box_class")}
+    losses = {name: 0 * fields.class_logits.sum() for name in ("box", "place", "box_class")}
     if keep.any():
         center, extents = fields.center[keep], fields.extents[keep]
         true_center, true_extents = batch.center[rows], batch.extents[rows]
@@ -102,6 +106,8 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
         away = (center - true_center).abs() / true_extents.clamp(max=NEAR_M)
         grown = (extents / true_extents).log().abs()
         losses["box"] = ((away + grown).sum(dim=1) + 1 - iou).mean()
+        gap = (center - true_center).square().sum(dim=1)
+        losses["place"] = -torch.expm1(-gap / MATCH_GATE_M**2).mean()
         losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     losses["quality"] = F.binary_cross_entropy_with_logits(fields.quality, quality)
     return losses
