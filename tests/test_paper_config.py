@@ -40,6 +40,7 @@ STATED = {
 }
 NOT_THE_PAPERS = {
     "weights.overlap": 0.0,
+    "weights.fit_place": 0.0,
     "ema_decay": 0.0,
     "decay_share": 0.0,
     "model.volume.memory_frames": 0,

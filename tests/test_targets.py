@@ -154,10 +154,23 @@ def test_only_turns_of_the_symmetry_are_free(symmetry: Symmetry, turned_deg: int
         assert (losses[name].item() < 1e-4) == free, name
     near = turned_deg < 180 / HEADING_BINS
     assert (losses["heading"].item() < 1e-4) == (free or near)
-    for name in ("scale", "translation"):
+    for name in ("scale", "translation", "fit_place"):
         assert losses[name].item() < 1e-4
     if symmetry is Symmetry.NONE:
         assert float(errors.rotation_deg) == pytest.approx(turned_deg, abs=0.1)
+
+
+@pytest.mark.parametrize(("gap_m", "cost"), [(0.0, 0.0), (0.25, 1 - np.exp(-1)), (1.0, 1.0)])
+def test_the_cost_of_a_fitted_place_by_hand(gap_m: float, cost: float) -> None:
+    """Correspondences all shifted by as much as moves the object by gap_m."""
+    batch = one_object()
+    fields = true_fields(batch, crops_of(batch), np.eye(3))
+    shift = gap_m / float(batch.scale_m[0])
+    moved = replace(fields, nocs=fields.nocs + torch.tensor([0, 0, shift]).view(1, 3, 1, 1, 1))
+    losses, errors = object_losses(moved, batch, ROW)
+    assert float(errors.translation_m) == pytest.approx(gap_m, abs=1e-3)
+    assert losses["fit_place"].item() == pytest.approx(cost, abs=3e-3)
+    assert losses["translation"].item() == pytest.approx(gap_m**2, abs=3e-3)
 
 
 @pytest.mark.parametrize("symmetry", list(Symmetry))
@@ -195,7 +208,7 @@ def test_gradients_are_finite_and_point_to_the_truth() -> None:
     crops = crops_of(batch)
     fields = true_fields(batch, crops, rotation_z(0.5))
     losses, _ = object_losses(fields, batch, ROW)
-    for name in (*ROTATION_PARTS, "scale", "translation"):
+    for name in (*ROTATION_PARTS, "scale", "translation", "fit_place"):
         (grad,) = torch.autograd.grad(losses[name], fields.nocs, retain_graph=True)
         assert torch.isfinite(grad).all(), name
     (grad,) = torch.autograd.grad(losses["rotation"], fields.nocs)

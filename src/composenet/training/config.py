@@ -28,6 +28,7 @@ class LossWeights:
     rotation: float = 0.2
     translation: float = 0.1
     scale: float = 0.1
+    fit_place: float = 2.0
     box: float = 1.0
     place: float = 2.0
     quality: float = 1.0

@@ -80,10 +80,6 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
     """Box (places as shares of the true sides, of NEAR_M where those are longer, sizes as shares of
     the true ones, and IoU), place, quality and class.
 
-    Place is nearly 0 within the distance at which centres match (MATCH_GATE_M) and nearly 1 beyond
-    twice that: it asks for one likely place where several are possible, and does not pull at what
-    one view cannot show.
-
     The quality that is taught is half overlap, half place: the one rises from 0 to 1 as the
     corrected box's IoU does from 0.1 to 0.6, the other is 1 where the centre can match
     (MATCH_GATE_M).
@@ -106,11 +102,17 @@ def box_losses(fields: BoxFields, batch: TrainingBatch, boxes: TrainingBoxes) ->
         away = (center - true_center).abs() / true_extents.clamp(max=NEAR_M)
         grown = (extents / true_extents).log().abs()
         losses["box"] = ((away + grown).sum(dim=1) + 1 - iou).mean()
-        gap = (center - true_center).square().sum(dim=1)
-        losses["place"] = -torch.expm1(-gap / MATCH_GATE_M**2).mean()
+        losses["place"] = _place_cost(center - true_center).mean()
         losses["box_class"] = F.cross_entropy(fields.class_logits[keep], batch.class_id[rows])
     losses["quality"] = F.binary_cross_entropy_with_logits(fields.quality, quality)
     return losses
+
+
+def _place_cost(gap_m: Tensor) -> Tensor:
+    """(M, 3) gaps between centres -> (M,) nearly 0 well within the distance at which centres match
+    (MATCH_GATE_M), nearly 1 from twice that on: one likely place is asked for where several are
+    possible, and what one view cannot show does not pull."""
+    return -torch.expm1(-gap_m.square().sum(dim=1) / MATCH_GATE_M**2)
 
 
 OBJECT_LOSSES = (
@@ -121,14 +123,15 @@ OBJECT_LOSSES = (
     "rotation",
     "scale",
     "translation",
+    "fit_place",
 )
 
 
 def object_losses(
     fields: ObjectFields, batch: TrainingBatch, rows: Tensor
 ) -> tuple[dict[str, Tensor], PoseErrors]:
-    """Heading, completion, correspondence, rotation, scale and translation of crops that show
-    the objects `rows` (M,) of the batch."""
+    """Heading, completion, correspondence, rotation, scale, translation and place of crops that
+    show the objects `rows` (M,) of the batch."""
     cells = fields.occupancy.shape[-1]
     if not len(rows):
         touched = 0 * (fields.occupancy.sum() + fields.nocs.sum() + fields.heading_logits.sum())
@@ -153,6 +156,7 @@ def object_losses(
     losses["scale"] = (seen * (fit.scale - batch.scale_m[rows]).abs()).mean()
     gap = fit.t - batch.t[rows]
     losses["translation"] = (seen * gap.square().sum(dim=1)).mean()
+    losses["fit_place"] = (seen * _place_cost(gap)).mean()
     return losses, _errors(fit, squared, gap, logits, target)
 
 

@@ -21,7 +21,7 @@ from composenet.training.losses import (
 from composenet.training.proposals import TrainingBoxes, chosen_objects, training_boxes
 from composenet.training.targets import TrainingBatch
 
-POSE_LOSSES = ("rotation", "scale", "translation")
+POSE_LOSSES = ("rotation", "scale", "translation", "fit_place")
 LOWEST_OBJECTNESS = 0.2
 """Clusters of voxels that are this unsure are looked at too: most are no furniture."""
 
