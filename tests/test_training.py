@@ -239,7 +239,9 @@ class Drawn:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.patch = monkeypatch
         monkeypatch.setattr(SceneSource, "scene", lambda _, index: index)
-        monkeypatch.setattr(data, "samples_of_scene", lambda i, config, _: [i] * 5)
+        monkeypatch.setattr(
+            data, "samples_of_scene", lambda i, config, _: [i] * (config.frames_per_scene - 1)
+        )
         monkeypatch.setattr(data, "collate_samples", lambda picked: picked)
 
     def batches(
@@ -259,7 +261,7 @@ def test_no_two_workers_or_processes_share_a_scene(monkeypatch: pytest.MonkeyPat
     assert sum(map(len, sets)) == len(set.union(*sets))
 
 
-@pytest.mark.parametrize(("taken", "least", "most"), [(1, 1 / 8, 1 / 4), (400, 0.99, 1.01)])
+@pytest.mark.parametrize(("taken", "least", "most"), [(1, 1 / 8, 1 / 3), (800, 0.99, 1.01)])
 def test_a_pool_that_fills_while_it_is_learned_from(
     monkeypatch: pytest.MonkeyPatch, taken: int, least: float, most: float
 ) -> None:
@@ -267,10 +269,10 @@ def test_a_pool_that_fills_while_it_is_learned_from(
     Drawn(monkeypatch)
     drawn: list[int] = []
     monkeypatch.setattr(SceneSource, "scene", lambda _, index: drawn.append(index) or index)
-    config = TrainingConfig(batch_frames=2, frames_per_scene=5)
+    config = TrainingConfig(batch_frames=2, frames_per_scene=6)
     batches = list(itertools.islice(iter(SceneStream(SceneSource(), config, 0)), taken))
     pool = 5 * len(drawn) - sum(map(len, batches))
-    assert least <= pool / (data.POOL_BATCHES * 2) <= most
+    assert least <= pool / data.POOL_FRAMES <= most
 
 
 @pytest.mark.parametrize("workers", [1, 4])

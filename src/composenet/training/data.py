@@ -37,8 +37,8 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
-POOL_BATCHES = 128
-"""A worker mixes the frames of this many batches, of dozens of scenes, once its pool is full."""
+POOL_FRAMES = 512
+"""A worker mixes so many frames, of dozens of scenes, once its pool is full; half a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -161,13 +161,12 @@ class SceneStream(IterableDataset):
         index = self.start + self.rank * n_workers + worker
         pool: list[Sample] = []
         rng = np.random.default_rng((self.config.seed, index))
-        full = POOL_BATCHES * self.config.batch_frames
-        kept = full // 8  # the first batch does not wait for a full pool
+        kept = POOL_FRAMES // 8  # the first batch does not wait for a full pool
         while True:
             pool.extend(samples_of_scene(self.source.scene(index), self.config, rng))
             index += step
-            kept = min(full, kept + self.config.frames_per_scene // 2)
-            while len(pool) >= kept:
+            kept = min(POOL_FRAMES, kept + self.config.frames_per_scene // 2)
+            while len(pool) >= max(kept, self.config.batch_frames):
                 picked = [
                     pool.pop(int(rng.integers(len(pool)))) for _ in range(self.config.batch_frames)
                 ]

@@ -20,7 +20,7 @@ from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
 from composenet.training.checkpoint import Progress, load_checkpoint, save_checkpoint
 from composenet.training.config import TrainingConfig
-from composenet.training.data import POOL_BATCHES, SceneSource, SceneStream, fixed_batches
+from composenet.training.data import POOL_FRAMES, SceneSource, SceneStream, fixed_batches
 from composenet.training.log import StepLog
 from composenet.training.processes import PREFETCHED, Group, StopRequest, batches_of
 from composenet.training.schedule import scheduled_rate
@@ -232,7 +232,8 @@ def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iter
     first = config.seed * SCENES_OF_A_SEED + progress.scenes
     stream = SceneStream(source, config, first, group.rank, group.size)
     loader = batches_of(stream, options.workers)
-    ahead = (POOL_BATCHES + PREFETCHED) * _scenes_per_step(config, group.size)
+    ahead = _scenes_of(POOL_FRAMES, config, group.size)
+    ahead += PREFETCHED * _scenes_per_step(config, group.size)
     progress.scenes += ahead * max(1, options.workers)
     try:
         yield from loader
@@ -243,7 +244,12 @@ def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iter
 
 def _scenes_per_step(config: TrainingConfig, processes: int) -> int:
     """An upper bound, so that a resumed run never draws a scene twice."""
-    return processes * -(-config.batch_frames // max(1, config.frames_per_scene - 1))
+    return _scenes_of(config.batch_frames, config, processes)
+
+
+def _scenes_of(frames: int, config: TrainingConfig, processes: int) -> int:
+    """How many scenes give so many frames to each process, at most."""
+    return processes * -(-frames // max(1, config.frames_per_scene - 1))
 
 
 def _validate(trainer: Trainer, batches: list[TrainingBatch]) -> dict[str, float]:
