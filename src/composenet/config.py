@@ -44,7 +44,7 @@ class VolumeConfig:
 class NetworkConfig:
     """Sizes of the network."""
 
-    backbone_channels: tuple[Count, ...] = (16, 32, 48, 64, 96)
+    backbone_channels: tuple[Count, ...] = (16, 48, 64, 96, 128)
     """channels at strides 1, 2, 4, 8, 16 (bottleneck 1/16 [paper])"""
     backbone_blocks: tuple[Count, ...] = (1, 1, 2, 2, 2)
     """residual blocks at each stride, before and again after the bottleneck"""
@@ -104,7 +104,7 @@ class TrackingConfig:
     """a weaker proposal may continue a track but starts none"""
     min_confidence: Share = 0.65
     """a track is told of from the frame on in which its confidence reaches this"""
-    keep_confidence: Share = 0.6
+    keep_confidence: Share = 0.65
     """until it is seen with less confidence than this"""
     duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped"""
