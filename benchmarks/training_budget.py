@@ -21,7 +21,7 @@ from composenet.metrics.report import RunInfo
 from composenet.network.weights import default_weights, weights_id
 from composenet.process import keep_freed_memory
 from composenet.training.config import TrainingConfig
-from composenet.training.data import SceneSource, SceneStream
+from composenet.training.data import POOL_FRAMES, SceneSource, SceneStream
 from composenet.training.loop import RunOptions, Trainer
 from composenet.training.processes import Group
 
@@ -54,6 +54,8 @@ def main(
     torch.set_num_threads(1)
     config = TrainingConfig(parts=parts, seed=SEED, joint_from_step=0)
     stream = iter(SceneStream(SceneSource(), config, start=0))
+    for _ in range(POOL_FRAMES // config.batch_frames):
+        next(stream)  # while the pool fills a batch costs more scenes than later
     warm = [next(stream) for _ in range(WARM_UP_BATCHES)]
     count = scenes * config.frames_per_scene // config.batch_frames
     clock = Clock()

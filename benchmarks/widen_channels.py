@@ -1,6 +1,6 @@
 """Give the backbone of a network more channels, for further training; it says what it said.
 
-python benchmarks/widen_channels.py 16 48 64 96 128 --out FILE.safetensors [--weights FILE]
+python benchmarks/widen_channels.py 24 48 64 96 128 --out FILE.safetensors [--weights FILE]
 composenet train --start-from FILE.safetensors ...   (with these backbone_channels in its --config)
 """
 
