@@ -9,6 +9,7 @@ from PIL import Image
 
 from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T
+from composenet.network.weights import default_weights, load_weights
 from tracking_scenes import LOOK_ALONG_X
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,3 +58,11 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
         seen["tracker"].turn_back()
     histories = [[e.frame_index for e in track.history] for track in seen["tracker"].tracks()]
     assert all(frames == sorted(set(frames)) for frames in histories)
+
+
+def test_thresholds_are_those_of_the_shipped_weights():
+    _, config, _ = load_weights(default_weights())
+    said = re.findall(r"`(\w+)` \(([\d.]+)\)", (ROOT / "docs/output.md").read_text())
+    assert {name for name, _ in said} == {"min_confidence", "keep_confidence"}
+    for name, value in said:
+        assert getattr(config.tracking, name) == float(value), name
