@@ -34,6 +34,7 @@ STATED = {
     "model.detection.mean_shift_radius_voxels": 8.0,
     "model.detection.min_cluster_voxels": 50,
     "model.tracking.box_iou_gate": 0.3,
+    "model.tracking.same_class_iou_gate": 0.3,
     "model.tracking.canonical_iou_gate": 0.3,
     "model.tracking.running_mean_weight": 4.0,
     "model.tracking.offline": True,

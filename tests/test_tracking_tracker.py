@@ -203,6 +203,23 @@ def test_the_equal_class_is_preferred_among_overlapping_boxes():
     assert [(e.track_id, e.class_id) for e in outputs[1]] == [(1, CHAIR), (2, TABLE)]
 
 
+@pytest.mark.parametrize(
+    ("second", "change", "ids"),
+    [
+        pytest.param({"y": 0.45}, {}, [1], id="of one class a little overlap is enough"),
+        pytest.param({"y": 0.45}, {"same_class_iou_gate": 0.3}, [2], id="the paper's gate"),
+        pytest.param({"y": 0.45, "class_id": DESK}, {}, [2], id="of another class it is not"),
+        pytest.param({"y": 0.25, "class_id": DESK}, {}, [1], id="but much is"),
+        pytest.param({"y": 0.61}, {"same_class_iou_gate": 0.0}, [2], id="none never is"),
+    ],
+)
+def test_box_gate(second, change, ids):
+    """An object of another shape than before, so that boxes alone can continue its track."""
+    changed = thing(3, **second, canonical=block(hollow=True))
+    _, outputs = run([SEEN, (None, [changed])], replace(CONFIG, **change))
+    assert ids_seen(outputs[1]) == ids
+
+
 def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
     pair = [thing(3, 0, score=0.6), thing(3, 0.1, score=0.9)]
     _, outputs = run([(None, pair)])

@@ -93,7 +93,9 @@ class TrackingConfig:
     use_completion: bool = True
     """False: only observed cells carry geometry; the paper's "no compl." """
     box_iou_gate: Share = 0.3
-    """[paper]"""
+    """a proposal continues a track whose box it overlaps by this much [paper]"""
+    same_class_iou_gate: Share = 0.02
+    """by this much where both are of one class; 0.3: as the others [paper]"""
     canonical_iou_gate: Share = 0.3
     """[paper]"""
     running_mean_weight: Positive = 4.0

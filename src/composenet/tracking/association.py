@@ -48,14 +48,16 @@ def order_and_deduplicate(
 def match_boxes(
     tracklets: Sequence[Tracklet], proposals: Sequence[ObjectEstimate], config: TrackingConfig
 ) -> Pairs:
-    """First pass: overlap with the last box, gated by its IoU alone [paper].
+    """First pass: overlap with the last box, gated by its IoU [paper].
 
     Classes need not be equal, as a class read from one view errs more often than a place
-    does; between admissible pairs the equal class is preferred.
+    does; between admissible pairs the equal class is preferred. Where they are equal less
+    overlap will do: the box of an object seen in part is often half a box off.
     """
     iou = pairwise_iou([t.box for t in tracklets], [p.box for p in proposals])
     alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
-    return assign(iou * np.where(alike, 1.0, OTHER_CLASS), iou >= config.box_iou_gate)
+    gate = np.where(alike, config.same_class_iou_gate, config.box_iou_gate)
+    return assign(iou * np.where(alike, 1.0, OTHER_CLASS), iou >= gate)
 
 
 def match_shapes(
