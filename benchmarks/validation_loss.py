@@ -1,6 +1,6 @@
 """The detector's loss on validation scenes, of the shipped weights and of others, paired.
 
-python benchmarks/validation_loss.py WEIGHTS... [--start 300] [--scenes 40] [--out FILE.json]
+python benchmarks/validation_loss.py WEIGHTS... [--start 400] [--scenes 100] [--out FILE.json]
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def losses_of(weights: Path, batches: list[TrainingBatch]) -> np.ndarray:
 
 def main(
     weights: tyro.conf.Positional[tuple[Path, ...]],
-    start: int = 300,
-    scenes: int = 40,
+    start: int = 400,
+    scenes: int = 100,
     out: Path | None = None,
 ) -> None:
     """Mean loss of each, and its difference from that of the shipped weights, over batches."""
