@@ -27,8 +27,12 @@ TINY = Config(
     detection=DetectionConfig(
         min_cluster_voxels=5, objectness_threshold=0.1, min_score=0.1, max_proposals=3
     ),
-    tracking=TrackingConfig(
-        min_score=0.0, min_birth_score=0.0, min_confidence=0.0, keep_confidence=0.0
+    tracking=TrackingConfig(  # tracks that break, so that looking back has something to join
+        min_score=0.0,
+        min_birth_score=0.0,
+        min_confidence=0.0,
+        keep_confidence=0.0,
+        same_class_iou_gate=0.3,
     ),
 )
 
