@@ -14,6 +14,7 @@ from composenet.geometry.box import (
     aabb_of_oriented,
     aabb_of_points,
     corners,
+    inside,
     iou,
     oriented_intersection_m3,
     oriented_iou,
@@ -152,6 +153,14 @@ def test_corners_bounds_and_points():
     upright = box((1, 2, 3), (1, 2, 4))
     assert np.allclose(corners(upright)[0], (0.5, 1, 1))
     assert np.allclose(corners(upright)[6], (1.5, 3, 5))
+
+
+@given(boxes)
+def test_a_box_holds_what_its_corners_enclose(b):
+    outline = corners(b) - b.center
+    assert inside(b.center + 0.999 * outline, b).all()
+    assert not inside(b.center + 1.001 * outline, b).any()
+    assert inside(np.zeros((0, 3)), b).shape == (0,)
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((4, 2)), np.zeros(3)])

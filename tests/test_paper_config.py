@@ -35,6 +35,7 @@ STATED = {
     "model.detection.min_cluster_voxels": 50,
     "model.tracking.box_iou_gate": 0.3,
     "model.tracking.same_class_iou_gate": 0.3,
+    "model.tracking.kept_place_share": 0.0,
     "model.tracking.canonical_iou_gate": 0.3,
     "model.tracking.running_mean_weight": 4.0,
     "model.tracking.offline": True,

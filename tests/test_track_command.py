@@ -23,6 +23,7 @@ from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
 from composenet.predictions import read_predictions
 from composenet.records import Frame
 from composenet.sequences import open_sequence
+from composenet.tracking.tracker import Tracker
 
 
 class Watched:
@@ -163,6 +164,27 @@ def test_a_recording_looked_back_on_is_seen_twice(
     run = track_recording(sequence, tracker, tmp_path, Console(file=io.StringIO()))  # type: ignore[arg-type]
     assert seen == [*range(1, 2 * len(run.frames) + 1)] and run.complete
     assert [frame.index for frame in run.frames] == [frame.index for frame in sequence]
+
+
+def test_association_is_told_of_all_surface_that_is_known(
+    recordings: Path, tiny_weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update, told = Tracker.update, []
+
+    def noted(self: Tracker, frame: Frame, estimates: Any, surface: Any) -> Any:
+        told.append({tuple(point) for point in surface.round(6)})
+        return update(self, frame, estimates, surface)
+
+    monkeypatch.setattr(Tracker, "update", noted)
+    frames = list(open_sequence(recordings / "val_00000"))
+    tracker = load_tracker(tiny_weights, device="cpu")
+    for frame in frames:
+        tracker(frame)
+    for frame in frames:
+        tracker.restart()(frame)  # remembers nothing
+    together, alone = told[: len(frames)], told[len(frames) :]
+    assert all(own and own <= known for own, known in zip(alone, together, strict=True))
+    assert together[0] == alone[0] and len(together[-1]) > len(alone[-1])
 
 
 @pytest.mark.parametrize("ctrl_c", [True, False])

@@ -13,6 +13,7 @@ from composenet.config import TrackingConfig
 from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import Box, Similarity, TrackState
+from composenet.tracking.association import NO_SURFACE
 from composenet.tracking.tracker import Tracker
 from composenet.tracking.tracklet import FIRST_LOOK
 from tracking_scenes import CHAIR, DESK, SIZE, TABLE, block, frame, screen, thing
@@ -22,12 +23,12 @@ AWAY, HIDE = frame(0, yaw=np.pi / 2), frame(0, [screen(1.5, 0.0)])
 EMPTY = np.zeros((64, 64, 64), np.float32)
 
 
-def run(stream, config=CONFIG):
+def run(stream, config=CONFIG, surface=NO_SURFACE):
     """Tracker and its outputs for a list of (Frame or None, estimates); frames are numbered."""
     tracker, outputs = Tracker(config), []
     for index, (view, estimates) in enumerate(stream):
         view = frame(0, [e.box for e in estimates]) if view is None else view
-        outputs.append(tracker.update(replace(view, index=index), estimates))
+        outputs.append(tracker.update(replace(view, index=index), estimates, surface))
     return tracker, outputs
 
 
@@ -217,6 +218,35 @@ def test_box_gate(second, change, ids):
     """An object of another shape than before, so that boxes alone can continue its track."""
     changed = thing(3, **second, canonical=block(hollow=True))
     _, outputs = run([SEEN, (None, [changed])], replace(CONFIG, **change))
+    assert ids_seen(outputs[1]) == ids
+
+
+def upright(y, n=100):
+    """n points of surface on a vertical line in the middle of a thing at (3, y)."""
+    return np.column_stack([np.full(n, 3.0), np.full(n, y), np.linspace(0.1, 0.8, n)])
+
+
+@pytest.mark.parametrize(
+    ("known", "y", "change", "ids"),
+    [
+        pytest.param(upright(0.2), 0.45, {}, [1], id="it was half a box off"),
+        pytest.param(upright(0.12), 0.45, {}, [1], id="within the slack"),
+        pytest.param(upright(0.0), 0.45, {}, [2], id="its neighbour: it still stands there"),
+        pytest.param(upright(0.0, 40), 0.45, {}, [1], id="too little is known"),
+        pytest.param(upright(0.9), 0.45, {}, [1], id="nothing is left where it stood"),
+        pytest.param(upright(0.0), 0.45, {"kept_place_share": 0.0}, [1], id="the paper's way"),
+        pytest.param(
+            np.vstack([upright(0.0, 60), upright(0.2, 40)]), 0.45, {}, [1], id="enough is shared"
+        ),
+        pytest.param(
+            np.vstack([upright(0.0, 80), upright(0.2, 20)]), 0.45, {}, [2], id="too little is"
+        ),
+        pytest.param(upright(-0.25), 0.25, {}, [1], id="much overlap asks for nothing"),
+    ],
+)
+def test_a_track_does_not_leave_what_still_stands_in_its_place(known, y, change, ids):
+    changed = thing(3, y, canonical=block(hollow=True))
+    _, outputs = run([SEEN, (None, [changed])], replace(CONFIG, **change), known)
     assert ids_seen(outputs[1]) == ids
 
 

@@ -96,6 +96,9 @@ class TrackingConfig:
     """a proposal continues a track whose box it overlaps by this much [paper]"""
     same_class_iou_gate: Share = 0.02
     """by this much where both are of one class; 0.3: as the others [paper]"""
+    kept_place_share: Share = 0.3
+    """and only if the proposal holds this share of the surface remembered in the track's box, where
+    else the track's object still stands; 0: whatever stands there [paper]"""
     canonical_iou_gate: Share = 0.3
     """[paper]"""
     running_mean_weight: Positive = 4.0

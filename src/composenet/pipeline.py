@@ -21,7 +21,7 @@ from composenet.network.mirror import Mirror
 from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
-from composenet.records import Frame, ObjectEstimate, Track, TrackedObject
+from composenet.records import FloatArray, Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.tracker import Tracker
 from composenet.volume.memory import Memory
 from composenet.volume.voxels import Volume, voxelize
@@ -51,11 +51,14 @@ class Scene:
 @dataclass(frozen=True)
 class Sight:
     """One frame as it looks whatever is tracked: trackers of one recording that differ only in
-    config.tracking can share it. scene: None where the frame shows nothing. looked_at: posed
-    detections and timings of the trackers that have followed, by what they asked for."""
+    config.tracking can share it. scene: None where the frame shows nothing. surface: (M, 3) points
+    in the world, all surface that it and the frames before it saw and that it does not contradict.
+    looked_at: posed detections and timings of the trackers that have followed, by what they asked
+    for."""
 
     frame: Frame
     scene: Scene | None
+    surface: FloatArray
     timings_ms: dict[str, float]
     looked_at: dict[Hashable, tuple[tuple[ObjectEstimate, ...], dict[str, float]]]
 
@@ -79,7 +82,7 @@ class ObjectTracker:
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)
         if volume is None:
-            return Sight(frame, None, clock.milliseconds, {})
+            return Sight(frame, None, self._memory.surface.points, clock.milliseconds, {})
         batch, mirror = collate([volume]).to(self.device), None
         with clock("backbone"):
             fields = self.network.voxel_fields(batch)
@@ -88,7 +91,7 @@ class ObjectTracker:
         with clock("proposals"):
             (proposals,) = propose(fields, batch, detection)
         scene = Scene(volume, batch, fields, mirror, proposals)
-        return Sight(frame, scene, clock.milliseconds, {})
+        return Sight(frame, scene, self._memory.surface.points, clock.milliseconds, {})
 
     def follow(self, sight: Sight) -> FrameResult:
         """The second half: a closer look at every proposal and at where tracks were last, their
@@ -96,7 +99,7 @@ class ObjectTracker:
         clock = _Clock(self.device)
         estimates, timings_ms = self._estimates(sight)
         with clock("association"):
-            objects = self._tracker.update(sight.frame, estimates)
+            objects = self._tracker.update(sight.frame, estimates, sight.surface)
         timings_ms = sight.timings_ms | timings_ms | clock.milliseconds
         return FrameResult(objects, estimates, timings_ms)
 

@@ -60,6 +60,12 @@ def aabb_of_oriented(box: OrientedBox) -> Box:
     return Box(center=np.asarray(box.center, dtype=np.float64), extents=extents)
 
 
+def inside(points: NDArray[np.floating], box: Box) -> NDArray[np.bool_]:
+    """(N,) bool: which points (N, 3) lie in the axis-aligned box, its sides included."""
+    away = np.abs(points - np.asarray(box.center, dtype=points.dtype))
+    return np.all(away <= np.asarray(box.extents, dtype=points.dtype) / 2, axis=1)
+
+
 def pairwise_iou(a: Sequence[Box], b: Sequence[Box]) -> NDArray[np.float64]:
     """(A, B) 3D IoU of axis-aligned boxes; 0 where both are without volume."""
     if not a or not b:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.config import TrackingConfig
-from composenet.geometry.box import pairwise_iou
-from composenet.records import ObjectEstimate
+from composenet.geometry.box import inside, pairwise_iou
+from composenet.records import Box, FloatArray, ObjectEstimate
 from composenet.tracking.affinity import (
     canonical_iou,
     center_distance_m,
@@ -23,6 +23,12 @@ from composenet.tracking.visibility import Visibility
 Pairs = tuple[tuple[int, int], ...]
 """(tracklet, proposal) positions in the sequences given."""
 
+NO_SURFACE: FloatArray = np.zeros((0, 3))
+"""Nothing is remembered."""
+LEAST_SURFACE = 50
+"""Fewer voxels of surface say nothing of what stands in a place."""
+PLACE_SLACK_M = 0.05
+"""The edge of a voxel."""
 OTHER_CLASS = 0.5
 """Boxes of unequal class attract each other this much less."""
 
@@ -46,18 +52,36 @@ def order_and_deduplicate(
 
 
 def match_boxes(
-    tracklets: Sequence[Tracklet], proposals: Sequence[ObjectEstimate], config: TrackingConfig
+    tracklets: Sequence[Tracklet],
+    proposals: Sequence[ObjectEstimate],
+    config: TrackingConfig,
+    surface: FloatArray = NO_SURFACE,
 ) -> Pairs:
     """First pass: overlap with the last box, gated by its IoU [paper].
 
     Classes need not be equal, as a class read from one view errs more often than a place
     does; between admissible pairs the equal class is preferred. Where they are equal less
-    overlap will do: the box of an object seen in part is often half a box off.
+    overlap will do: the box of an object seen in part is often half a box off. But not where
+    most of the surface (M, 3) known in the track's box lies outside the proposal: then the track's
+    object still stands there, out of view perhaps, and the proposal is its neighbour.
     """
     iou = pairwise_iou([t.box for t in tracklets], [p.box for p in proposals])
     alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
-    gate = np.where(alike, config.same_class_iou_gate, config.box_iou_gate)
-    return assign(iou * np.where(alike, 1.0, OTHER_CLASS), iou >= gate)
+    close = iou >= config.box_iou_gate
+    near = alike & ~close & (iou >= config.same_class_iou_gate)
+    for row, column in np.argwhere(near):
+        share = kept_share(tracklets[row].box, proposals[column].box, surface)
+        near[row, column] = share >= config.kept_place_share
+    return assign(iou * np.where(alike, 1.0, OTHER_CLASS), close | near)
+
+
+def kept_share(old: Box, new: Box, surface: FloatArray) -> float:
+    """Share of the surface (M, 3) known in the old box that the new one, which may be off by
+    PLACE_SLACK_M, holds; 1 where too little is known."""
+    there = surface[inside(surface, old)]
+    if len(there) < LEAST_SURFACE:
+        return 1.0
+    return float(inside(there, Box(new.center, new.extents + 2 * PLACE_SLACK_M)).mean())
 
 
 def match_shapes(

@@ -7,8 +7,13 @@ from typing import TypeVar
 
 from composenet.config import TrackingConfig, VolumeConfig
 from composenet.errors import SequenceError
-from composenet.records import Box, Frame, ObjectEstimate, Track, TrackedObject
-from composenet.tracking.association import match_boxes, match_shapes, order_and_deduplicate
+from composenet.records import Box, FloatArray, Frame, ObjectEstimate, Track, TrackedObject
+from composenet.tracking.association import (
+    NO_SURFACE,
+    match_boxes,
+    match_shapes,
+    order_and_deduplicate,
+)
 from composenet.tracking.offline import in_order_of_time, link_offline
 from composenet.tracking.tracklet import Tracklet
 from composenet.tracking.visibility import Visibility, surface_in_world, visibility
@@ -34,21 +39,26 @@ class Tracker:
         self._turned = False
 
     def update(
-        self, frame: Frame, estimates: Sequence[ObjectEstimate]
+        self,
+        frame: Frame,
+        estimates: Sequence[ObjectEstimate],
+        surface: FloatArray = NO_SURFACE,
     ) -> tuple[TrackedObject, ...]:
         """Every track that is told of in this frame (see `Tracklet`), by id: seen ones, unseen ones
         at their last pose, and, once, those that ended in it. Ids are given at birth, so some never
         appear.
 
-        The order of the estimates does not matter. Raises SequenceError for a frame whose
-        index is not larger than the one before, after `turn_back` for one that is not smaller.
+        surface: (M, 3) points in the world, what this frame and those before it saw and it does
+        not contradict. The order of the estimates does not matter. Raises SequenceError for a frame
+        whose index is not larger than the one before, after `turn_back` for one that is not
+        smaller.
         """
         self._advance(frame.index)
         strong = [e for e in estimates if e.score >= self._config.min_score]
         proposals = order_and_deduplicate(strong, self._config.duplicate_iou)
         alive = [t for t in self._tracklets if t.alive]
 
-        pairs = match_boxes(alive, proposals, self._config)
+        pairs = match_boxes(alive, proposals, self._config, surface)
         unseen = _others(alive, [row for row, _ in pairs])
         unclaimed = _others(proposals, [column for _, column in pairs])
         seen = [(alive[row], proposals[column]) for row, column in pairs]

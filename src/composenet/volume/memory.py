@@ -123,6 +123,11 @@ class Memory:
         self._surface = kept[_hidden(kept.points, depth_m, K, T_world_camera)]
         return self._surface
 
+    @property
+    def surface(self) -> Surface:
+        """What is remembered now, world frame."""
+        return self._surface
+
     def remember(self, surface: Surface) -> None:
         """Keep what was recalled and what the frame saw, world frame. No voxel twice."""
         height = surface.points[:, 2]
