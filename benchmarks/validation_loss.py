@@ -1,4 +1,6 @@
-"""The detector's loss on validation scenes, of the shipped weights and of others, paired.
+"""The loss on validation scenes, of the shipped weights and of others, paired: of the detector and
+the second look, or with `--parts objects` of completion and pose, on true boxes that are moved at
+random and looked at again.
 
 python benchmarks/validation_loss.py WEIGHTS... [--start 400] [--scenes 100] [--out FILE.json]
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,18 +24,20 @@ from composenet.training.data import SceneSource, fixed_batches
 from composenet.training.step import LossModule, weighted_sum
 from composenet.training.targets import TrainingBatch
 
+Parts = Literal["detector", "objects"]
+
 
 @torch.no_grad()
-def losses_of(weights: Path, batches: list[TrainingBatch]) -> np.ndarray:
-    """(B,) weighted sum of what the detector and the second look are trained for."""
+def losses_of(weights: Path, batches: list[TrainingBatch], parts: Parts) -> np.ndarray:
+    """(B,) weighted sum of what these parts are trained for."""
     network, model, _ = load_weights(weights)
-    config = TrainingConfig(model=model, parts="detector")
+    config = TrainingConfig(model=model, parts=parts, max_crops=10)
     module = LossModule(config)
     module.network = network
     module.eval()
     sums = []
     for i, batch in enumerate(track(batches, weights.name)):
-        losses, _ = module(batch, False, torch.Generator().manual_seed(i))
+        losses, _ = module(batch, True, torch.Generator().manual_seed(i))
         sums.append(float(weighted_sum(losses, config)))
     return np.array(sums)
 
@@ -41,14 +46,15 @@ def main(
     weights: tyro.conf.Positional[tuple[Path, ...]],
     start: int = 400,
     scenes: int = 100,
+    parts: Parts = "detector",
     out: Path | None = None,
 ) -> None:
     """Mean loss of each, and its difference from that of the shipped weights, over batches."""
     batches = fixed_batches(SceneSource("val"), TrainingConfig(), scenes, start, frames=4)
-    shipped = losses_of(default_weights(), batches)
+    shipped = losses_of(default_weights(), batches, parts)
     rows = [{"weights": weights_id(default_weights()), "loss": round(float(shipped.mean()), 4)}]
     for path in weights:
-        loss = losses_of(path, batches)
+        loss = losses_of(path, batches, parts)
         difference = loss - shipped
         error = difference.std(ddof=1) / len(difference) ** 0.5
         rows.append(
@@ -63,7 +69,8 @@ def main(
         print(row)
     if out is not None:
         files = " ".join(map(str, weights))
-        command = f"python benchmarks/validation_loss.py {files} --start {start} --scenes {scenes}"
+        options = f"--start {start} --scenes {scenes} --parts {parts}"
+        command = f"python benchmarks/validation_loss.py {files} {options}"
         data = f"val, scenes {start} to {start + scenes - 1}"
         info = asdict(RunInfo(data, 0, command, weights_id(default_weights())))
         out.write_text(json.dumps(info | {"losses": rows}, indent=2) + "\n")
