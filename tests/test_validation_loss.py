@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 import validation_loss
 from validation_loss import main
 
@@ -15,8 +16,9 @@ from composenet.network.weights import default_weights, load_weights, save_weigh
 
 @pytest.mark.parametrize("parts", ["detector", "objects"])
 def test_equal_weights_differ_by_nothing_and_others_by_what_they_lack(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parts: validation_loss.Parts
+    tmp_path: Path, parts: validation_loss.Parts
 ) -> None:
+    torch.manual_seed(0)
     network, config, _ = load_weights(default_weights())
     learned, fresh = network.state_dict(), ComposeNet(config.network, config.volume).state_dict()
     lacking = "boxes." if parts == "detector" else "objects."

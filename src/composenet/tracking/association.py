@@ -28,7 +28,7 @@ NO_SURFACE: FloatArray = np.zeros((0, 3))
 LEAST_SURFACE = 50
 """Fewer voxels of surface say nothing of what stands in a place."""
 PLACE_SLACK_M = 0.05
-"""The edge of a voxel."""
+"""As wide as a voxel is by default."""
 OTHER_CLASS = 0.5
 """Boxes of unequal class attract each other this much less."""
 
