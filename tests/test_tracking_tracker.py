@@ -259,6 +259,16 @@ def test_duplicates_are_suppressed_and_weak_proposals_start_nothing():
     assert seen_at(outputs) == [[], [1], [1], []]
 
 
+@pytest.mark.parametrize(("score", "y"), [(0.8, 0.0), (0.99, 0.3)])
+def test_of_duplicates_the_one_in_a_tracks_place_counts_more(score, y):
+    """A box that reaches over from a tracked chair to its neighbour must be much surer."""
+    chair, reaching = thing(3, 0, score=0.65), thing(3, 0.3, score=score)
+    _, outputs = run([(None, [thing(3, 0)]), (None, [chair, reaching])])
+    (entry,) = outputs[1]
+    assert entry.track_id == 1
+    assert entry.box.center[1] == pytest.approx(y)
+
+
 def test_canonical_model_is_the_running_mean():
     shapes = [block(), block(hollow=True), block()]
     tracker, _ = run([(None, [thing(3, 0, canonical=shape)]) for shape in shapes])

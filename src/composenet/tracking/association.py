@@ -29,26 +29,35 @@ LEAST_SURFACE = 50
 """Fewer voxels of surface say nothing of what stands in a place."""
 PLACE_SLACK_M = 0.05
 """As wide as a voxel is by default."""
+HELD_PLACE = 0.5
+"""Of two proposals that are one object, one in the very place of a track counts this much more."""
 OTHER_CLASS = 0.5
 """Boxes of unequal class attract each other this much less."""
 
 
 def order_and_deduplicate(
-    estimates: Sequence[ObjectEstimate], duplicate_iou: float
+    estimates: Sequence[ObjectEstimate],
+    tracklets: Sequence[Tracklet],
+    duplicate_iou: float,
 ) -> tuple[ObjectEstimate, ...]:
     """Proposals strongest first (ties by place), whatever order they came in.
 
     Of two of one class whose boxes overlap by more than duplicate_iou the weaker is dropped:
-    solid furniture cannot share that much space, so both are the same object.
+    solid furniture cannot share that much space, so both are the same object. One that overlaps
+    the box of a tracklet of its class counts as stronger for that, so that a box between a tracked
+    object and a new neighbour does not put away the tracked one.
     """
     ordered = sorted(estimates, key=lambda e: (-e.score, *np.asarray(e.box.center), e.class_id))
     boxes, classes = [e.box for e in ordered], [e.class_id for e in ordered]
     clash = (pairwise_iou(boxes, boxes) > duplicate_iou) & same_class(classes, classes)
+    held = pairwise_iou(boxes, [t.box for t in tracklets])
+    held = held * same_class(classes, [t.class_id for t in tracklets])
+    strength = np.array([e.score for e in ordered]) * (1 + HELD_PLACE * held.max(1, initial=0))
     kept: list[int] = []
-    for index in range(len(ordered)):
+    for index in np.argsort(-strength, kind="stable"):
         if not clash[index, kept].any():
-            kept.append(index)
-    return tuple(ordered[index] for index in kept)
+            kept.append(int(index))
+    return tuple(ordered[index] for index in sorted(kept))
 
 
 def match_boxes(

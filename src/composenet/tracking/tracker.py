@@ -54,9 +54,9 @@ class Tracker:
         smaller.
         """
         self._advance(frame.index)
-        strong = [e for e in estimates if e.score >= self._config.min_score]
-        proposals = order_and_deduplicate(strong, self._config.duplicate_iou)
         alive = [t for t in self._tracklets if t.alive]
+        strong = [e for e in estimates if e.score >= self._config.min_score]
+        proposals = order_and_deduplicate(strong, alive, self._config.duplicate_iou)
 
         pairs = match_boxes(alive, proposals, self._config, surface)
         unseen = _others(alive, [row for row, _ in pairs])
