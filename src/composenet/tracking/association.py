@@ -50,9 +50,9 @@ def order_and_deduplicate(
     ordered = sorted(estimates, key=lambda e: (-e.score, *np.asarray(e.box.center), e.class_id))
     boxes, classes = [e.box for e in ordered], [e.class_id for e in ordered]
     clash = (pairwise_iou(boxes, boxes) > duplicate_iou) & same_class(classes, classes)
-    held = pairwise_iou(boxes, [t.box for t in tracklets])
-    held = held * same_class(classes, [t.class_id for t in tracklets])
-    strength = np.array([e.score for e in ordered]) * (1 + HELD_PLACE * held.max(1, initial=0))
+    alike = same_class(classes, [t.class_id for t in tracklets])
+    held = (pairwise_iou(boxes, [t.box for t in tracklets]) * alike).max(axis=1, initial=0)
+    strength = np.array([e.score for e in ordered]) * (1 + HELD_PLACE * held)
     kept: list[int] = []
     for index in np.argsort(-strength, kind="stable"):
         if not clash[index, kept].any():
