@@ -112,8 +112,8 @@ class TrackingConfig:
     keep_confidence: Share = 0.65
     """until it is seen with less confidence than this"""
     duplicate_iou: Share = 0.25
-    """of two proposals of one class whose boxes overlap more than this, the weaker is dropped; one in
-    the place of a track counts as stronger"""
+    """of two proposals of one class whose boxes overlap more than this, the weaker is dropped; one
+    in the place of a track counts as stronger"""
     max_speed_m_per_frame: Positive = 0.35
     """the canonical pass matches nothing that would have moved faster than this"""
     reach_slack_m: Positive = 0.3
