@@ -1,10 +1,16 @@
-"""How this process waits and how it keeps its memory: for the program, not for the library."""
+"""How the program's processes wait, keep their memory, and end together."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import platform
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import connection, get_context, parent_process
 
 
 def wait_asleep() -> None:
@@ -30,3 +36,29 @@ def keep_freed_memory() -> None:
     for number, name, size in ((-1, "TRIM", 2**31 - 1), (-3, "MMAP", 2**30)):  # malloc.h
         libc.mallopt(number, size)
         os.environ[f"MALLOC_{name}_THRESHOLD_"] = str(size)  # for processes that this one starts
+
+
+@contextmanager
+def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes that die of ctrl-C without a word, and with this process whatever ends it;
+    after an exception nothing more is begun. They are fresh: forking one that has threads (torch)
+    may hang."""
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_begin_worker) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _begin_worker() -> None:
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,6 +16,7 @@ from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import ScoredSequence
 from composenet.errors import ComposenetError
 from composenet.metrics.evaluate import DatasetScores, SequenceScores, aggregate
+from composenet.process import worker_pool
 
 Job = tuple[str, Path]
 """variant or method, sequence folder"""
@@ -93,22 +91,6 @@ def _run_pool(
             else:
                 finish(futures[future], outcome)
     return sorted(lost, key=list(todo).index)
-
-
-@contextmanager
-def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes that die of ctrl-C without a word; then nothing more is begun."""
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_die_of_ctrl_c) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _die_of_ctrl_c() -> None:
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def guarded(work: Callable[..., Scores], *arguments: object) -> Scores | str:

@@ -11,9 +11,8 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +32,7 @@ from rich.progress import (
 from rich.text import Text
 
 from composenet.errors import DataError
+from composenet.process import worker_pool
 from composenet.records import (
     CLASS_NAMES,
     Box,
@@ -296,13 +296,8 @@ def _map(
                 yield work(index)
                 progress.advance(task)
             return
-        # Fresh processes: forking one that has threads (torch) may hang.
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with worker_pool(workers) as pool:
             futures = [pool.submit(work, index) for index in indices]
-            try:
-                for _ in as_completed(futures):
-                    progress.advance(task)
-                yield from (future.result() for future in futures)
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+            for _ in as_completed(futures):
+                progress.advance(task)
+            yield from (future.result() for future in futures)
