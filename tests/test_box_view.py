@@ -1,8 +1,6 @@
-"""What the depth image shows of a box: places, relief, mirror images, boxes it cannot see."""
+"""What the depth image shows of a box: places, relief, boxes it cannot see."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,18 +74,6 @@ def test_what_stands_out_by_a_centimetre_is_seen() -> None:
     middle = seen[RELIEF][13:19, 14:18]
     assert middle.amin() < -0.08  # nearer than its surroundings
     assert seen[RELIEF][:, :6].abs().amax() < 1e-4
-
-
-def test_a_box_in_the_mirror_looks_mirrored() -> None:
-    rng = np.random.default_rng(0)
-    batch = looking_along_x(rng.uniform(1.5, 2.5, (1, 240, 320)).astype(np.float32))
-    image = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0]))
-    image[1, 3] = 3.1
-    mirrored = replace(batch, T_camera_grid=batch.T_camera_grid @ image)
-    seen = look(batch, [2.3, 1.8, 1.1], [0.5, 0.7, 0.9])
-    other = look(mirrored, [2.3, 3.1 - 1.8, 1.1], [0.5, 0.7, 0.9])
-    signs = torch.tensor([1.0, -1, 1, 1, 1, 1, 1])[:, None, None]
-    torch.testing.assert_close(other, signs * seen.flip(2), atol=1e-4, rtol=1e-4)
 
 
 def test_the_resolution_of_the_image_hardly_matters() -> None:

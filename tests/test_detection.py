@@ -31,7 +31,6 @@ from composenet.volume.voxels import Volume
 from conftest import TINY
 
 CONFIG = DetectionConfig()
-ONE_RADIUS = DetectionConfig(further_radii_voxels=())
 VOXEL_M = 0.05
 
 
@@ -142,7 +141,7 @@ SOFA = Thing((40, 80, 8), (16, 40, 16), 7, objectness=0.8)
 
 
 def test_three_objects_three_boxes() -> None:
-    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), ONE_RADIUS)
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), CONFIG)
     things = [CHAIR, TABLE, SOFA]  # by score
     assert found.class_probabilities.argmax(dim=1).tolist() == [t.class_id for t in things]
     np.testing.assert_allclose(found.center / VOXEL_M, [t.center for t in things], atol=0.01)
@@ -155,43 +154,38 @@ def test_three_objects_three_boxes() -> None:
 @pytest.mark.parametrize(("voxels", "kept"), [(19, 1), (20, 2)])
 def test_small_clusters_are_dropped(voxels: int, kept: int) -> None:
     lamp = Thing((90, 90, 10), (6, 6, 10), 0, voxels)
-    (found,) = propose(*field_of([CHAIR, lamp]), ONE_RADIUS)
+    (found,) = propose(*field_of([CHAIR, lamp]), CONFIG)
     assert len(found.center) == kept
 
 
 @pytest.mark.parametrize("things", [[], [Thing((20, 20, 9), (12, 12, 18), 4, objectness=0.4)]])
 def test_nothing_found(things: list[Thing]) -> None:
-    (found,) = propose(*field_of(things), ONE_RADIUS)
+    (found,) = propose(*field_of(things), CONFIG)
     assert found.center.shape == found.extents.shape == (0, 3)
     assert found.class_probabilities.shape == (0, 10) and found.score.shape == (0,)
 
 
 def test_frames_of_a_batch_do_not_mix() -> None:
     there = Thing(TABLE.center, TABLE.extents, TABLE.class_id, frame=1)
-    first, second, third = propose(*field_of([CHAIR, there], frames=3), ONE_RADIUS)
+    first, second, third = propose(*field_of([CHAIR, there], frames=3), CONFIG)
     assert first.class_probabilities.argmax(dim=1).tolist() == [CHAIR.class_id]
     assert second.class_probabilities.argmax(dim=1).tolist() == [TABLE.class_id]
     assert len(third.center) == 0
 
 
-def test_further_radii_add_their_own_proposals() -> None:
-    """Two halves, 6 voxels apart, are one cluster or two."""
+def test_a_larger_radius_takes_neighbours_for_one() -> None:
+    """Two halves, 6 voxels apart."""
     halves = [Thing((20, 20, 9), (4, 4, 8), 4), Thing((26, 20, 9), (4, 4, 8), 4)]
-    found = []
-    for radius in (4.0, 8.0):
-        config = replace(ONE_RADIUS, mean_shift_radius_voxels=radius)
-        found += propose(*field_of(halves), config)
-    config = DetectionConfig(mean_shift_radius_voxels=4.0, further_radii_voxels=(8.0,))
-    (both,) = propose(*field_of(halves), config)
-    assert [len(p.center) for p in found] == [2, 1]
-    for name, value in vars(found[0] + found[1]).items():
-        torch.testing.assert_close(getattr(both, name), value)
+    for radius, count in ((4.0, 2), (8.0, 1)):
+        config = replace(CONFIG, mean_shift_radius_voxels=radius)
+        (found,) = propose(*field_of(halves), config)
+        assert len(found.center) == count
 
 
 def test_no_more_than_asked_for_and_the_strongest_of_them() -> None:
-    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), replace(ONE_RADIUS, max_proposals=2))
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), replace(CONFIG, max_proposals=2))
     assert found.class_probabilities.argmax(dim=1).tolist() == [CHAIR.class_id, TABLE.class_id]
-    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), replace(ONE_RADIUS, min_score=0.85))
+    (found,) = propose(*field_of([SOFA, CHAIR, TABLE]), replace(CONFIG, min_score=0.85))
     assert len(found.center) == 2
 
 

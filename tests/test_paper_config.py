@@ -46,7 +46,6 @@ NOT_THE_PAPERS = {
     "ema_decay": 0.0,
     "decay_share": 0.0,
     "model.volume.memory_frames": 0,
-    "model.detection.use_mirror": False,
     "model.detection.min_score": 0.0,
     "model.tracking.min_confidence": 0.0,
     "model.tracking.still_share": 0.0,

@@ -100,11 +100,11 @@ def test_each_step_proposes_with_one_of_the_radii_and_a_random_objectness(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sure: list[float] = []
-    drawn: list[tuple[float, tuple[float, ...]]] = []
+    drawn: set[float] = set()
     propose = step.propose
 
     def noted(fields, batch, config) -> tuple[Proposals, ...]:
-        drawn.append((config.mean_shift_radius_voxels, config.further_radii_voxels))
+        drawn.add(config.mean_shift_radius_voxels)
         sure.append(config.objectness_threshold)
         assert config.min_score <= config.objectness_threshold  # else the unsure ones are dropped
         return propose(fields, batch, config)
@@ -116,8 +116,6 @@ def test_each_step_proposes_with_one_of_the_radii_and_a_random_objectness(
     batch = batch_of(recordings)
     for _ in range(16):
         trainer.step(batch, 1e-3)
-    radii = {detection.mean_shift_radius_voxels, *detection.further_radii_voxels}
-    assert len(radii) == 3 and {radius for radius, _ in drawn} == radii
-    assert {further for _, further in drawn} == {()}
+    assert drawn == {detection.mean_shift_radius_voxels, *step.OTHER_RADII_VOXELS}
     assert step.LOWEST_OBJECTNESS <= min(sure) < 0.3 < 0.4 < max(sure)
     assert max(sure) <= detection.objectness_threshold

@@ -62,22 +62,16 @@ class NetworkConfig:
 class DetectionConfig:
     """Proposals from voxel predictions."""
 
-    use_mirror: bool = True
-    """look at the mirror image of the volume too and average; a second pass of the backbone"""
     use_tracks: bool = True
     """look again where tracks were last; False: each frame finds its objects alone [paper]"""
     objectness_threshold: Share = 0.5
     mean_shift_steps: Count = 20
     """[paper]"""
     mean_shift_radius_voxels: Positive = 5.0
-    """the paper's 8 merges neighbours; the second look drops what 5 splits"""
-    further_radii_voxels: tuple[Positive, ...] = (3.0, 8.0)
-    """clusters of these radii are proposals too, and the second look chooses; (): only those of the
-    one radius [paper]"""
+    """the paper's 8 merges neighbours"""
     min_cluster_voxels: Count = 20
     """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
     max_proposals: Count = 30
-    """of each radius"""
     min_score: Share = 0.3
     """a box of less quality is dropped"""
     duplicate_iou: Share = 0.25

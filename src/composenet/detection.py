@@ -13,7 +13,6 @@ from composenet.config import DetectionConfig
 from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
-from composenet.network.mirror import Mirror, mean_boxes
 from composenet.network.model import ComposeNet
 from composenet.network.sparse import unique_rows
 from composenet.records import Box
@@ -27,7 +26,7 @@ ALIKE_IOU = 0.9
 
 @dataclass(frozen=True)
 class Proposals:
-    """Boxes found in one frame, grid frame; those of one radius strongest first.
+    """Boxes found in one frame, grid frame.
 
     center, extents: (M, 3) metres. class_probabilities: (M, n_classes). score: (M,) of `propose`
     the mean objectness of the cluster, of `second_look` the quality. voxels: (M,) how
@@ -89,7 +88,7 @@ def _distinct(clash: Tensor) -> Tensor:
 def propose(
     fields: VoxelFields, batch: VolumeBatch, config: DetectionConfig
 ) -> tuple[Proposals, ...]:
-    """Proposals of every frame of the batch, those of each radius for themselves."""
+    """Proposals of every frame of the batch, strongest first."""
     votes = batch.coords[:, 1:].to(fields.center_offset.dtype) + fields.center_offset
     objectness = torch.sigmoid(fields.objectness)
     out = []
@@ -122,17 +121,7 @@ def _propose_frame(
         ],
         dim=1,
     )
-    radii = (config.mean_shift_radius_voxels, *config.further_radii_voxels)
-    found = [_clusters(votes, values, radius, voxel_size_m, config) for radius in radii]
-    return sum(found[1:], start=found[0])
-
-
-def _clusters(
-    votes: Tensor, values: Tensor, radius: float, voxel_size_m: float, config: DetectionConfig
-) -> Proposals:
-    """Means over the clusters of one radius. values: (P, 8 + n_classes) one, objectness, vote,
-    extents and class probabilities of each voting voxel."""
-    modes, member = mean_shift(votes, radius, config.mean_shift_steps)
+    modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
     sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
     count = sums[:, 0]
     mean = sums / count.clamp_min(1)[:, None]
@@ -178,14 +167,12 @@ def second_look(
     batch: VolumeBatch,
     proposals: tuple[Proposals, ...],
     config: DetectionConfig,
-    mirror: Mirror | None = None,
 ) -> tuple[Proposals, ...]:
     """Proposals with corrected boxes and classes, strongest first.
 
-    mirror: the mirror image of the batch, to be looked at too. Of proposals nearly alike
-    (`ALIKE_IOU`) the first is looked at. score becomes the quality; of two boxes that overlap by
-    more than config.duplicate_iou the weaker is dropped, whatever their classes: solid furniture
-    cannot share that much space.
+    Of proposals nearly alike (`ALIKE_IOU`) the first is looked at. score becomes the quality; of
+    two boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
+    classes: solid furniture cannot share that much space.
     """
     out = []
     for index, p in enumerate(proposals):
@@ -195,8 +182,6 @@ def second_look(
         seed, extents, voxels = p.center[first], extents[first], p.voxels[first]
         frame = torch.full((len(seed),), index, device=seed.device)
         boxes = network.box_fields(fields, batch, seed, extents, frame)
-        if mirror is not None:
-            boxes = mean_boxes(boxes, mirror.box_fields(network, seed, extents, frame))
         score = boxes.quality.sigmoid()
         order = torch.argsort(score, descending=True, stable=True)
         order = order[score[order] >= config.min_score]

@@ -17,7 +17,6 @@ from composenet.detection import Proposals, propose, remembered, second_look
 from composenet.errors import ConfigError
 from composenet.network.batch import VolumeBatch, collate
 from composenet.network.detection_head import VoxelFields
-from composenet.network.mirror import Mirror
 from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
@@ -44,7 +43,6 @@ class Scene:
     volume: Volume
     batch: VolumeBatch
     fields: VoxelFields
-    mirror: Mirror | None
     proposals: Proposals
 
 
@@ -78,19 +76,17 @@ class ObjectTracker:
     @torch.inference_mode()
     def look(self, frame: Frame) -> Sight:
         """The first half: volume, voxel fields, proposals."""
-        clock, detection = _Clock(self.device), self.config.detection
+        clock = _Clock(self.device)
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)
         if volume is None:
             return Sight(frame, None, self._memory.surface.points, clock.milliseconds, {})
-        batch, mirror = collate([volume]).to(self.device), None
+        batch = collate([volume]).to(self.device)
         with clock("backbone"):
             fields = self.network.voxel_fields(batch)
-            if detection.use_mirror:
-                fields, mirror = Mirror.of(self.network, batch).agreed(fields)
         with clock("proposals"):
-            (proposals,) = propose(fields, batch, detection)
-        scene = Scene(volume, batch, fields, mirror, proposals)
+            (proposals,) = propose(fields, batch, self.config.detection)
+        scene = Scene(volume, batch, fields, proposals)
         return Sight(frame, scene, self._memory.surface.points, clock.milliseconds, {})
 
     def follow(self, sight: Sight) -> FrameResult:
@@ -117,7 +113,7 @@ class ObjectTracker:
                 found = scene.proposals
                 found += remembered(last, scene.volume, found, detection)
                 (proposals,) = second_look(
-                    self.network, scene.fields, scene.batch, (found,), detection, scene.mirror
+                    self.network, scene.fields, scene.batch, (found,), detection
                 )
             with clock("objects"):
                 estimates = estimate_objects(

@@ -28,8 +28,7 @@ _RELIEF_M = 0.05  # and counts in units of this
 def view_inputs(batch: VolumeBatch, frame: Tensor, center: Tensor, extents: Tensor) -> Tensor:
     """(M, N_VIEW_CHANNELS, VIEW_PIXELS, VIEW_PIXELS) of M boxes: place of what each pixel sees in
     the box (-1..1 along its sides, 3 channels), whether that is inside, whether depth is known,
-    relief, and depth / 4 m. The view is the rectangle of the image around the box, stretched; in a
-    mirror image it is turned round.
+    relief, and depth / 4 m. The view is the rectangle of the image around the box, stretched.
 
     center, extents: (M, 3) metres, grid frame. frame: (M,) int64.
     """
@@ -72,8 +71,6 @@ def _pixels(
         low, high = low - short, high + short
         sides.append(low[:, None] + (high - low)[:, None] * steps)
     u, v = sides
-    mirrored = torch.linalg.det(R) < 0
-    u = torch.where(mirrored[:, None], u.flip(1), u)
     shape = (len(center), VIEW_PIXELS, VIEW_PIXELS)
     return u[:, None, :].expand(shape), v[:, :, None].expand(shape)
 

@@ -22,6 +22,8 @@ from composenet.training.proposals import TrainingBoxes, chosen_objects, trainin
 from composenet.training.targets import TrainingBatch
 
 POSE_LOSSES = ("rotation", "scale", "translation", "fit_place")
+OTHER_RADII_VOXELS = (3.0, 8.0)
+"""Clusters of these radii are looked at too: pieces of objects, and neighbours taken for one."""
 LOWEST_OBJECTNESS = 0.2
 """Clusters of voxels that are this unsure are looked at too: most are no furniture."""
 
@@ -89,11 +91,11 @@ class LossModule(nn.Module):
     def _proposals(
         self, fields: VoxelFields, batch: TrainingBatch, generator: torch.Generator
     ) -> tuple[Proposals, ...]:
-        """What the detector finds with one of its radii (those of all are too alike to be worth
-        their time) from a random objectness on, and what the second look makes of it: in tracking
-        that is where it looks again (see `detection.remembered`)."""
+        """What the detector finds with its own radius or another from a random objectness on, and
+        what the second look makes of it: in tracking that is where it looks again (see
+        `detection.remembered`)."""
         detection = self.config.model.detection
-        radii = (detection.mean_shift_radius_voxels, *detection.further_radii_voxels)
+        radii = (detection.mean_shift_radius_voxels, *OTHER_RADII_VOXELS)
         radius = radii[int(torch.randint(len(radii), (), generator=generator))]
         sure = detection.objectness_threshold
         unsure = min(sure, LOWEST_OBJECTNESS)
@@ -101,7 +103,6 @@ class LossModule(nn.Module):
         one = dataclasses.replace(
             detection,
             mean_shift_radius_voxels=radius,
-            further_radii_voxels=(),
             objectness_threshold=threshold,
             min_score=min(threshold, detection.min_score),
         )
