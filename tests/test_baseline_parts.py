@@ -79,7 +79,7 @@ def test_icp_says_where_it_fails() -> None:
 
 def test_without_the_library_one_line_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
-    with pytest.raises(ConfigError, match=r"composenet\[baselines\]"):
+    with pytest.raises(ConfigError, match=r"composenet\[odometry\]"):
         Cloud(corner())
 
 

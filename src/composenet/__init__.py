@@ -16,17 +16,17 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from composenet.pipeline import ObjectTracker, load_tracker
     from composenet.records import Camera, Frame
-    from composenet.sequences import open_sequence
+    from composenet.sequences import Odometry, open_sequence
 
-__all__ = ["Camera", "Frame", "ObjectTracker", "load_tracker", "open_sequence"]
+__all__ = ["Camera", "Frame", "ObjectTracker", "Odometry", "load_tracker", "open_sequence"]
 
 
 def __getattr__(name: str) -> Any:
     """Import on first use, so that `import composenet` and `--help` stay instant."""
-    if name == "open_sequence":
-        from composenet.sequences import open_sequence
+    if name in ("Odometry", "open_sequence"):
+        from composenet import sequences
 
-        return open_sequence
+        return getattr(sequences, name)
     if name in ("Camera", "Frame"):
         from composenet import records
 

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from composenet.baselines.association import MIN_BIRTH_SCORE, mask_iou, projected_mask
-from composenet.baselines.camera import FrameToFrameCamera
+from composenet.baselines.camera import OdometryCamera
 from composenet.baselines.icp import MIN_POINTS, Cloud, align
 from composenet.baselines.records import Cameras, InstanceMasks, surface_track
 from composenet.geometry.camera import back_project
@@ -45,7 +45,7 @@ class FrameToFrame:
     """Tracks one recording (see `records.ComparisonSystem`)."""
 
     def __init__(self, cameras: Cameras = Cameras.GIVEN) -> None:
-        self._camera = FrameToFrameCamera() if cameras is Cameras.ESTIMATED else None
+        self._camera = OdometryCamera() if cameras is Cameras.ESTIMATED else None
         self._tracks: list[_Track] = []
         self._born = 0
 

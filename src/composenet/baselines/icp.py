@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from composenet.errors import ConfigError
 from composenet.geometry.transform import angle_between_deg, apply_T, inverse_T, make_T
+from composenet.gicp import small_gicp
 from composenet.records import FloatArray
 
 REJECTION_RADII_M = (0.3, 0.1, 0.05)
@@ -46,7 +45,7 @@ class Cloud:
     def __init__(self, points: FloatArray, voxel_size_m: float = 0.03) -> None:
         points = np.asarray(points, dtype=np.float64)
         # The grid is that of the frame: one that went with the cloud would hide its motion.
-        sampled = _small_gicp().voxelgrid_sampling(points, voxel_size_m) if len(points) else None
+        sampled = small_gicp().voxelgrid_sampling(points, voxel_size_m) if len(points) else None
         self.points = sampled.points()[:, :3] if sampled else np.zeros((0, 3))
 
     def __len__(self) -> int:
@@ -64,14 +63,14 @@ class Cloud:
     @cached_property
     def local(self) -> Any:
         """small_gicp's cloud with normals, about `origin`."""
-        library = _small_gicp()
+        library = small_gicp()
         cloud = library.PointCloud(self.points - self.origin)
         library.estimate_normals(cloud, num_neighbors=_NEIGHBOURS)
         return cloud
 
     @cached_property
     def local_tree(self) -> Any:
-        return _small_gicp().KdTree(self.local)
+        return small_gicp().KdTree(self.local)
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ def _refined(
     target: Cloud, source: Cloud, T_target_source: FloatArray, radii_m: Sequence[float]
 ) -> FloatArray:
     """One pass for each radius, of the source's points that have a partner within it."""
-    library = _small_gicp()
+    library = small_gicp()
     for radius_m in radii_m:
         paired = _reciprocal(target, source, T_target_source, radius_m)
         if paired.sum() < MIN_POINTS:
@@ -172,14 +171,3 @@ def _measured(target: Cloud, source: Cloud, T_target_source: FloatArray) -> Alig
         inlier_share=max(float((d < INLIER_M).mean()) for d in distances),
         misfit_m=min(float((d - SAMPLING_M).mean()) for d in distances),
     )
-
-
-def _small_gicp() -> ModuleType:
-    """The library. Raises ConfigError where it is not installed."""
-    try:
-        import small_gicp
-    except ImportError:
-        raise ConfigError(
-            "this needs small_gicp: install it with `pip install composenet[baselines]`"
-        ) from None
-    return small_gicp

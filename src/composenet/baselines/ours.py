@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from composenet.baselines.camera import FrameToFrameCamera
+from composenet.baselines.camera import OdometryCamera
 from composenet.baselines.records import InstanceMasks
 from composenet.records import Frame, TrackedObject
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class OwnCamera:
-    """ComPoseNet with camera poses from frame-to-frame ICP of all that it sees: it needs no
-    masks, so what moves is told apart by the rejection of outliers alone."""
+    """ComPoseNet with camera poses from odometry over all that it sees, as it follows a recording
+    without poses."""
 
     def __init__(self, tracker: ObjectTracker) -> None:
         self._tracker = tracker
-        self._camera = FrameToFrameCamera()
+        self._camera = OdometryCamera()
 
     def __call__(self, frame: Frame, masks: InstanceMasks) -> tuple[TrackedObject, ...]:
         """Every living track. The masks are not looked at."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -11,6 +14,8 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+
+Item = TypeVar("Item")
 
 
 def progress_bar(console: Console) -> Progress:
@@ -24,3 +29,12 @@ def progress_bar(console: Console) -> Progress:
         TextColumn("{task.fields[note]}", markup=False),
         console=console,
     )
+
+
+def watched(console: Console, title: str, items: Sequence[Item]) -> Iterator[Item]:
+    """The items, one after the other, with a progress bar."""
+    with progress_bar(console) as progress:
+        task = progress.add_task(title, total=len(items), note="")
+        for item in items:
+            yield item
+            progress.advance(task)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from composenet.commands.device_errors import device_errors
-from composenet.commands.progress import progress_bar
+from composenet.commands.progress import progress_bar, watched
 from composenet.commands.terminal import say, warn
 from composenet.config import load as load_config
 from composenet.errors import DataError, DeviceError
@@ -129,7 +129,13 @@ def run_track(
 ) -> int:
     """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
-    sequence = open_sequence(recording, stride=stride, max_frames=max_frames, options=reading)
+    sequence = open_sequence(
+        recording,
+        stride=stride,
+        max_frames=max_frames,
+        options=reading,
+        watch=lambda frames: watched(console, f"{recording.name}, odometry", frames),
+    )
     if out.exists() and out.samefile(recording):
         raise DataError(f"{out}: this is the recording itself; give another --out folder")
     from composenet.network.weights import default_weights, weights_id

@@ -26,6 +26,12 @@ def inverse_T(T_a_b: FloatArray) -> NDArray[np.float64]:
     return make_T(R.T, -R.T @ t)
 
 
+def rigid_T(T: FloatArray) -> NDArray[np.float64]:
+    """The rigid (4, 4) transform nearest to one whose rotation is not quite one."""
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    return make_T(U @ Vt, T[:3, 3])
+
+
 def apply_T(T_a_b: FloatArray, points_b: FloatArray) -> NDArray[np.float64]:
     """Points (..., 3) of frame b, in frame a."""
     return np.asarray(points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3])

@@ -37,5 +37,8 @@ class SequenceOptions:
     """depth units a metre: 1000 for millimetres; default: the format's own"""
     max_depth_m: Positive = 10.0
     """depth beyond this is no measurement"""
+    odometry: bool = False
+    """camera poses from the depth images themselves, not from the recording (needs
+    composenet[odometry])"""
     max_width: Annotated[Count, Field(ge=16)] = 480
     """wider depth images are subsampled by the smallest whole factor that fits"""

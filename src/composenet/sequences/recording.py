@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,12 +25,14 @@ from composenet.sequences.leveling import (
     merge,
     surface_of,
 )
+from composenet.sequences.odometry import Odometry
 from composenet.sequences.options import SequenceOptions
 from composenet.sequences.source import Source, SourceFrame, make_K
 
 _FORMATS = (tum, scannet, folder)
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
 _SOON = 3  # frames, of which the second must fit the first by the poses
+Watch = Callable[[Sequence[SourceFrame]], Iterable[SourceFrame]]
 
 
 class RecordedSequence:
@@ -37,16 +40,23 @@ class RecordedSequence:
 
     name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
     where every frame is in its camera's own levelled frame. T_level_source: (4, 4), maps the
-    recording's own world to the levelled one (identity without poses). Iterate as often as
+    recording's own world to the levelled one (identity without poses; with odometry that world is
+    the first frame's camera). Iterate as often as
     wanted; frames come in order, `Frame.index` counts the recording's frames, skipped ones
     included.
     """
 
     def __init__(
-        self, source: Source, options: SequenceOptions, stride: int, max_frames: int | None
+        self,
+        source: Source,
+        options: SequenceOptions,
+        stride: int,
+        max_frames: int | None,
+        watch: Watch = iter,
     ) -> None:
         self.name = source.path.resolve().name
-        self.has_poses = source.has_poses
+        source = source.without_poses() if options.odometry else source
+        self.has_poses = source.has_poses or options.odometry
         self._source, self._options = source, options
         self._skipped: dict[int, tuple[str, str]] = {}
         self._colorless: dict[int, tuple[str, str]] = {}
@@ -58,6 +68,8 @@ class RecordedSequence:
         self.camera = subsample_camera(full, self._factor)
         self._full = full
         self._notes = [*source.warnings, *checks.camera_notes(full)]
+        if options.odometry:
+            self._follow_camera(watch)
         self._drop_lost_cameras()
         self._notes += checks.check_steps(source.path, self._frames)
         samples = self._read_samples()
@@ -153,6 +165,24 @@ class RecordedSequence:
         K = self._source.K if given is None else make_K(*given)
         return checks.check_camera(self._source, K, width, height)
 
+    def _follow_camera(self, watch: Watch) -> None:
+        """Give every frame a pose by odometry; the frames where it loses the camera are skipped."""
+        odometry, posed = Odometry(), []
+        for frame in watch(self._frames):
+            try:
+                T_first_camera = odometry(self._read_depth_m(frame), self.camera)
+            except SequenceError as error:
+                self._skip(frame, str(error))
+                continue
+            if T_first_camera is None:
+                self._skip(frame, "odometry lost the camera: it shows too little of what was seen")
+            else:
+                posed.append(replace(frame, T_source_camera=T_first_camera))
+        if not posed:
+            raise self._nothing_left()
+        self._frames = posed
+        self._notes.append("camera poses are from odometry, which drifts")
+
     def _drop_lost_cameras(self) -> None:
         for frame in checks.lost_cameras(self._source.path, self._frames):
             self._skip(frame, f"camera is over {checks.MAX_SPAN_M:,.0f} m from the others")
@@ -176,7 +206,7 @@ class RecordedSequence:
     ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]]:
         """Samples and the depth soon after each, with T_later_earlier; none without poses or where
         they are known to be right."""
-        if not self.has_poses or self._source.levelled:
+        if not self._source.has_poses or self._source.levelled:
             return
         for place, depth_m in samples.items():
             if place + _SOON >= len(self._frames):
@@ -198,7 +228,7 @@ class RecordedSequence:
             self._notes.append(
                 "no camera poses: every frame is tracked in its camera's own levelled frame, "
                 "so objects at rest move when the camera does; poses belong in "
-                + self._source.poses_file
+                f"{self._source.poses_file}, or --odometry finds them"
             )
             if self._source.gravity is not None:
                 self._notes.append("the direction of gravity is of no use without camera poses")
@@ -253,13 +283,15 @@ def open_sequence(
     stride: int = 1,
     max_frames: int | None = None,
     options: SequenceOptions | None = None,
+    watch: Watch = iter,
 ) -> RecordedSequence:
     """A recording as levelled frames, whatever its format (told from what the folder holds).
 
     Every `stride`-th frame is read, at most `max_frames` of those that are usable. The levelled
     world is the recording's own, turned by the smallest rotation that makes it z-up and shifted
     along z so that the floor is z = 0 (rules in `leveling`); it is taken from up to 16 frames
-    spread over the recording.
+    spread over the recording. With `options.odometry` every frame's depth is read at once to find
+    the camera's way; `watch` goes round them meanwhile, such as a progress bar.
 
     Raises SequenceError with one line that says what is missing and what to do when the
     recording cannot be used at all; single bad frames are skipped and reported in
@@ -274,6 +306,6 @@ def open_sequence(
     for kind in _FORMATS:
         if kind.matches(path):
             return RecordedSequence(
-                kind.read_source(path), options or SequenceOptions(), stride, max_frames
+                kind.read_source(path), options or SequenceOptions(), stride, max_frames, watch
             )
     raise SequenceError(f"{path}: neither a depth/ folder nor depth.txt (TUM RGB-D) in it")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
+from composenet.geometry.transform import rigid_T
 from composenet.records import FloatArray
 
 _MAX_POSE_NUMBER = 1e9  # metres; larger ones overflow sooner or later
@@ -54,6 +55,16 @@ class Source:
     gravity: FloatArray | None = None
     levelled: bool = False
     warnings: tuple[str, ...] = ()
+
+    def without_poses(self) -> Source:
+        """The recording as if it had none: a frame with nothing wrong but its pose is usable."""
+
+        def usable(frame: SourceFrame) -> SourceFrame:
+            problem = None if frame.depth and frame.depth.is_file() else frame.problem
+            return replace(frame, T_source_camera=None, problem=problem)
+
+        frames = tuple(map(usable, self.frames))
+        return replace(self, frames=frames, has_poses=False, gravity=None, levelled=False)
 
 
 def read_text(path: Path) -> str:
@@ -119,10 +130,7 @@ def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
     rigid = np.abs(R).max() < 2 and np.allclose(R.T @ R, np.eye(3), atol=0.02)
     if not (rigid and np.linalg.det(R) > 0 and np.allclose(T[3], [0, 0, 0, 1], atol=1e-6)):
         return replace(frame, problem="pose is not rigid (a rotation and a translation expected)")
-    U, _, Vt = np.linalg.svd(R)
-    exact = np.eye(4)
-    exact[:3, :3], exact[:3, 3] = U @ Vt, T[:3, 3]
-    return replace(frame, T_source_camera=exact)
+    return replace(frame, T_source_camera=rigid_T(T))
 
 
 def images_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:

@@ -1,0 +1,125 @@
+"""The camera's way from its depth images alone, for recordings without poses.
+
+Each frame is aligned with a map of those before it: generalised ICP against the Gaussians of its
+cells (VGICP, Koide et al., ICRA 2021; the inner loop is small_gicp's, an optional extra), from
+coarse cells to fine. It begins from the last motion, from rest and from turns to either side, for
+hands turn a camera fast; the guess that leads nearest to the frame before is taken. What moves is
+outvoted by what rests. Where a single wall fills the image, motion along it cannot be seen and the
+pose slides; the map brings it back when it shows other things again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from composenet.geometry.camera import back_project
+from composenet.geometry.transform import angle_between_deg, apply_T, inverse_T, make_T, rigid_T
+from composenet.gicp import small_gicp
+from composenet.records import Camera, FloatArray
+
+_CELLS_M = (0.4, 0.2, 0.1)
+_REACH_CELLS = 3.0  # a point this far from a cell's Gaussian has no partner
+_ITERATIONS = 15
+_SPACING_M = 0.05  # between the points of a frame that are aligned
+_NEIGHBOURS = 12
+_FAR_M = 6.0  # depth beyond this is too noisy to align
+_MIN_POINTS = 100
+_TURNS_DEG = (8.0, -8.0, 16.0, -16.0, 24.0, -24.0)  # about the camera's own vertical
+_NEAR_M = 0.06
+_GOOD_SHARE = 0.75  # of a frame's points near the frame before: no other guess is tried
+_FAIR_SHARE = 0.5  # likewise where two guesses lead to the same pose
+_SAME_M, _SAME_DEG = 0.01, 0.5
+_LOST_SHARE = 0.3
+_MAX_STEP_M, _MAX_TURN_DEG = 1.0, 45.0  # farther from one frame to the next no hand moves
+_BETTER_SHARE = 0.03  # a later guess must lead that much nearer
+
+
+class Odometry:
+    """Camera poses of one recording or live camera, frame by frame, nothing from the future.
+
+    >>> odometry = Odometry()
+    >>> T_first_camera = odometry(depth_m, camera)
+    """
+
+    def __init__(self) -> None:
+        """Raises ConfigError where small_gicp is not installed."""
+        self._maps = [small_gicp().GaussianVoxelMap(cell_m) for cell_m in _CELLS_M]
+        self._T: NDArray[np.float64] = np.eye(4)
+        self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
+        self._before: cKDTree | None = None  # points of the last frame that was placed
+
+    def __call__(self, depth_m: FloatArray, camera: Camera) -> NDArray[np.float64] | None:
+        """(4, 4) pose of the next frame in the camera axes of the first one; None where too little
+        of it agrees with what was seen before. depth_m: (H, W) metres, 0 where unknown, or where
+        a moving thing should not be trusted."""
+        points = back_project(depth_m, camera)[(depth_m > 0) & (depth_m < _FAR_M)]
+        if len(points) < _MIN_POINTS:
+            return None
+        cloud, _ = small_gicp().preprocess_points(
+            points.astype(np.float64), _SPACING_M, num_neighbors=_NEIGHBOURS
+        )
+        points = cloud.points()[:, :3]
+        if len(points) < _MIN_POINTS:
+            return None
+        if self._before is not None:
+            T = self._aligned(cloud, points)
+            self._motion = np.eye(4) if T is None else inverse_T(self._T) @ T
+            if T is None:
+                return None
+            self._T = T
+        for cells in self._maps:
+            cells.insert(cloud, self._T)
+        self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
+        return self._T.copy()
+
+    def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
+        """The best guess's pose, if it is good enough."""
+        turns = [make_T(_rotation_y(angle), np.zeros(3)) for angle in np.radians(_TURNS_DEG)]
+        best, share = self._T, _LOST_SHARE - _BETTER_SHARE
+        poses: list[NDArray[np.float64]] = []
+        for guess in (self._motion, np.eye(4), *turns):
+            T = self._refined(cloud, self._T @ guess)
+            if not _alike(T, self._T, _MAX_STEP_M, _MAX_TURN_DEG):
+                continue
+            near = self._near_share(apply_T(T, points))
+            if near > share + _BETTER_SHARE:
+                best, share = T, near
+            again = any(_alike(T, other, _SAME_M, _SAME_DEG) for other in poses)
+            if share > _GOOD_SHARE or (share > _FAIR_SHARE and again):
+                break
+            poses.append(T)
+        return best if share >= _LOST_SHARE else None
+
+    def _refined(self, cloud: Any, T: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The pose after one alignment with each map, coarse to fine."""
+        for cell_m, cells in zip(_CELLS_M, self._maps, strict=True):
+            found = small_gicp().align(
+                cells,
+                cloud,
+                init_T_target_source=T,
+                max_correspondence_distance=_REACH_CELLS * cell_m,
+                max_iterations=_ITERATIONS,
+            )
+            if np.isfinite(found.T_target_source).all():
+                T = found.T_target_source
+        return rigid_T(T)  # errors of rounding would double from frame to frame
+
+    def _near_share(self, points: FloatArray) -> float:
+        assert self._before is not None
+        distance_m, _ = self._before.query(points, distance_upper_bound=_NEAR_M)
+        return float(np.isfinite(distance_m).mean())
+
+
+def _alike(T: FloatArray, other: FloatArray, metres: float, degrees: float) -> bool:
+    """Whether two poses are not farther apart than that."""
+    apart_m = np.linalg.norm(T[:3, 3] - other[:3, 3])
+    return bool(apart_m <= metres and angle_between_deg(T[:3, :3], other[:3, :3]) <= degrees)
+
+
+def _rotation_y(angle_rad: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])

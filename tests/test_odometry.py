@@ -1,0 +1,189 @@
+"""Camera poses from depth alone: true ones come back, whatever the world; a lost camera is told."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import composenet
+from baseline_scenes import CAMERA, cabinet, camera_pose, look, pillar
+from composenet import cli
+from composenet.errors import ConfigError, SequenceError
+from composenet.geometry.transform import angle_between_deg, inverse_T, make_T, rotation_z
+from composenet.predictions import read_predictions
+from composenet.records import Frame
+from composenet.sequences import Odometry, SequenceOptions, open_sequence
+
+THINGS = [pillar(3.2, -0.2), pillar(2.4, 2.0), pillar(3.0, 2.9), pillar(3.6, 1.0)]
+OPTIONS = SequenceOptions(odometry=True)
+NOTHING = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+
+
+def walk(yaws: list[float]) -> list[Frame]:
+    """Views of a room on a walk of 6 cm a step, turned to the left by so many radians."""
+    poses = [camera_pose(yaw, x=0.06 * i) for i, yaw in enumerate(yaws)]
+    return [look(i, [cabinet(2.6, 0.9, 0.7)], THINGS, T).frame for i, T in enumerate(poses)]
+
+
+SWAY = walk([0.0, 0.05, 0.1, 0.2, 0.3, 0.25, 0.1, 0.0])
+
+
+def assert_same(T: np.ndarray, other: np.ndarray, metres: float = 0.01, degrees: float = 0.3):
+    assert np.linalg.norm(T[:3, 3] - other[:3, 3]) < metres
+    assert angle_between_deg(T[:3, :3], other[:3, :3]) < degrees
+
+
+def from_first(frame: Frame, first: Frame) -> np.ndarray:
+    """The true pose in the axes of the first camera."""
+    return inverse_T(first.T_world_camera) @ frame.T_world_camera
+
+
+def save(root: Path, frames: list[Frame]) -> Path:
+    """A plain folder without poses."""
+    (root / "depth").mkdir(parents=True)
+    for frame in frames:
+        units = np.round(1000 * frame.depth_m).astype(np.uint16)
+        Image.fromarray(units).save(root / f"depth/{frame.index}.png")
+    np.savetxt(root / "camera-intrinsics.txt", CAMERA.K)
+    return root
+
+
+def test_a_swaying_camera_is_followed() -> None:
+    odometry = Odometry()
+    for frame in SWAY:
+        T = odometry(frame.depth_m, CAMERA)
+        assert T is not None
+        assert_same(T, from_first(frame, SWAY[0]))
+
+
+def test_a_fast_turn_is_followed() -> None:
+    """23 degrees from one frame to the next, with another motion before."""
+    frames = walk([0.0, -0.05, 0.35, 0.4, 0.0])
+    odometry = Odometry()
+    for frame in frames:
+        T = odometry(frame.depth_m, CAMERA)
+        assert T is not None
+        assert_same(T, from_first(frame, frames[0]), metres=0.03, degrees=1)
+
+
+def test_rounding_does_not_add_up() -> None:
+    """A motion that is not quite a rotation, applied again and again, is soon none at all."""
+    odometry = Odometry()
+    for _ in range(60):
+        T = odometry(SWAY[0].depth_m, CAMERA)
+        assert T is not None
+    assert_same(T, np.eye(4), metres=0.001, degrees=0.05)
+    assert np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() < 1e-12
+
+
+def test_what_moves_is_outvoted() -> None:
+    odometry = Odometry()
+    for i in range(8):
+        T_world_camera = camera_pose(0.03 * i, x=0.04 * i)
+        seen = look(i, [cabinet(2.4, -0.8 + 0.1 * i)], THINGS, T_world_camera)
+        T = odometry(seen.frame.depth_m, CAMERA)
+        assert T is not None
+        assert_same(T, inverse_T(camera_pose()) @ T_world_camera, metres=0.03, degrees=1)
+
+
+def test_a_lost_camera_is_told_and_found_again() -> None:
+    odometry = Odometry()
+    for frame in SWAY[:4]:
+        odometry(frame.depth_m, CAMERA)
+    funnel = np.hypot(*np.indices(NOTHING.shape)).astype(np.float32) / 200 + 0.5
+    for stranger in (NOTHING, NOTHING + np.float32(0.3), funnel):
+        assert odometry(stranger, CAMERA) is None
+    T = odometry(SWAY[4].depth_m, CAMERA)
+    assert T is not None
+    assert_same(T, from_first(SWAY[4], SWAY[0]), metres=0.02)
+
+
+def test_it_begins_with_the_first_frame_that_shows_something() -> None:
+    odometry = Odometry()
+    assert odometry(NOTHING, CAMERA) is None
+    first = odometry(SWAY[0].depth_m, CAMERA)
+    assert first is not None and (first == np.eye(4)).all()
+
+
+def test_a_recording_gets_poses_in_a_levelled_world(tmp_path: Path) -> None:
+    folder = save(tmp_path / "walk", SWAY)
+    given = open_sequence(folder)
+    assert not given.has_poses and "--odometry" in given.warnings[0]
+    sequence = open_sequence(folder, options=OPTIONS)
+    assert sequence.has_poses and "from odometry" in " ".join(sequence.warnings)
+    frames = list(sequence)
+    assert all(frame.pose_known for frame in frames)
+    assert [frame.index for frame in reversed(sequence)] == [frame.index for frame in frames[::-1]]
+    for frame, true in zip(frames, SWAY, strict=True):
+        assert_same(from_first(frame, frames[0]), from_first(true, SWAY[0]))
+        up, true_up = frame.T_world_camera[2, :3], true.T_world_camera[2, :3]
+        assert up @ true_up > np.cos(np.radians(0.5))
+        assert abs(frame.T_world_camera[2, 3] - true.T_world_camera[2, 3]) < 0.01
+
+
+def test_poses_of_the_recording_are_not_used(tmp_path: Path) -> None:
+    """Wrong ones change nothing, and a frame that lacks its own is as good as any."""
+    folder = save(tmp_path / "walk", SWAY)
+    plain = [frame.T_world_camera for frame in open_sequence(folder, options=OPTIONS)]
+    (folder / "pose").mkdir()
+    for frame in SWAY[1:]:
+        T = make_T(rotation_z(frame.index), [100.0 * frame.index, 0, 0])
+        np.savetxt(folder / f"pose/{frame.index}.txt", T)
+    np.savetxt(folder / "gravity-direction.txt", [1.0, 0, 0])
+    posed = [frame.T_world_camera for frame in open_sequence(folder, options=OPTIONS)]
+    np.testing.assert_array_equal(posed, plain)
+
+
+def test_frames_without_the_room_are_skipped_with_the_reason(tmp_path: Path) -> None:
+    folder = save(tmp_path / "walk", SWAY)
+    hand = np.full(NOTHING.shape, 300, np.uint16)
+    hand[:, :8] = 900
+    Image.fromarray(hand).save(folder / "depth/3.png")
+    (folder / "depth/5.png").write_bytes(b"no image")
+    watched = []
+    sequence = open_sequence(
+        folder, options=OPTIONS, watch=lambda frames: watched.extend(frames) or frames
+    )
+    reasons = dict(sequence.skipped)
+    assert reasons.keys() == {"3", "5"} and "odometry lost the camera" in reasons["3"]
+    assert [frame.name for frame in sequence] == ["0", "1", "2", "4", "6", "7"]
+    assert len(watched) == 7  # the corrupt one is known before
+    for i in range(8):
+        Image.fromarray(np.zeros_like(hand)).save(folder / f"depth/{i}.png")
+    with pytest.raises(SequenceError, match="no measurement"):
+        open_sequence(folder, options=OPTIONS)
+
+
+def test_track_follows_a_recording_without_poses(
+    recordings: Path, tiny_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, out = tmp_path / "recording", tmp_path / "out"
+    shutil.copytree(recordings / "val_00000", folder)
+    shutil.rmtree(folder / "pose")
+    arguments = [folder, "--out", out, "--odometry", "--device", "cpu", "--weights", tiny_weights]
+    monkeypatch.setattr(sys, "argv", ["composenet", "track", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 0
+    run = read_predictions(out)
+    assert any("odometry" in line for line in run.warnings)
+    true = [np.loadtxt(recordings / f"val_00000/pose/{frame.name}.txt") for frame in run.frames]
+    for frame, T in zip(run.frames, true, strict=True):
+        got = inverse_T(run.frames[0].T_world_camera) @ frame.T_world_camera
+        assert_same(got, inverse_T(true[0]) @ T, metres=0.05, degrees=2)
+
+
+def test_without_the_library_one_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = save(tmp_path / "walk", SWAY[:2])
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(ConfigError, match=r"composenet\[odometry\]"):
+        open_sequence(folder, options=OPTIONS)
+    with pytest.raises(ConfigError, match=r"composenet\[odometry\]"):
+        composenet.Odometry()
