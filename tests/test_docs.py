@@ -44,6 +44,9 @@ def test_live_camera():
     seen = {"driver": [(DEPTH_MM, T_world_camera)] * 2}
     exec(code_of("docs/recordings.md")[0], seen)
     assert seen["index"] == 1 and seen["result"].timings_ms["backbone"] > 0
+    seen |= {"driver": [seen["depth_m"]] * 3, "tracker": seen["tracker"].restart()}
+    exec(code_of("docs/recordings.md")[1], seen)
+    assert seen["index"] == 2 and seen["T_world_camera"] is not None
 
 
 def test_looking_twice(recording, tmp_path, monkeypatch):
@@ -52,7 +55,7 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
     for i in range(2):
         np.savetxt(f"recording/pose/{i}.txt", make_T(LOOK_ALONG_X, [0, 0, 1.2]))
     seen = {}
-    exec(code_of("docs/recordings.md")[1], seen)
+    exec(code_of("docs/recordings.md")[2], seen)
     assert seen["frame"].index == 0  # the last one that it looked at
     with pytest.raises(SequenceError, match="twice"):
         seen["tracker"].turn_back()

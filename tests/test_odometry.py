@@ -16,8 +16,9 @@ from composenet import cli
 from composenet.errors import ConfigError, SequenceError
 from composenet.geometry.transform import angle_between_deg, inverse_T, make_T, rotation_z
 from composenet.predictions import read_predictions
-from composenet.records import Frame
+from composenet.records import Camera, Frame
 from composenet.sequences import Odometry, SequenceOptions, open_sequence
+from composenet.synth.scene import generate_scene
 
 THINGS = [pillar(3.2, -0.2), pillar(2.4, 2.0), pillar(3.0, 2.9), pillar(3.6, 1.0)]
 OPTIONS = SequenceOptions(odometry=True)
@@ -43,6 +44,22 @@ def from_first(frame: Frame, first: Frame) -> np.ndarray:
     return inverse_T(first.T_world_camera) @ frame.T_world_camera
 
 
+class FromFirst:
+    """Odometry's poses in the axes of the first camera."""
+
+    def __init__(self) -> None:
+        self._odometry = Odometry()
+        self._T_first_world: np.ndarray | None = None
+
+    def __call__(self, depth_m: np.ndarray, camera: Camera = CAMERA) -> np.ndarray | None:
+        T = self._odometry(depth_m, camera)
+        if T is None:
+            return None
+        if self._T_first_world is None:
+            self._T_first_world = inverse_T(T)
+        return self._T_first_world @ T
+
+
 def save(root: Path, frames: list[Frame]) -> Path:
     """A plain folder without poses."""
     (root / "depth").mkdir(parents=True)
@@ -54,9 +71,9 @@ def save(root: Path, frames: list[Frame]) -> Path:
 
 
 def test_a_swaying_camera_is_followed() -> None:
-    odometry = Odometry()
+    odometry = FromFirst()
     for frame in SWAY:
-        T = odometry(frame.depth_m, CAMERA)
+        T = odometry(frame.depth_m)
         assert T is not None
         assert_same(T, from_first(frame, SWAY[0]))
 
@@ -64,41 +81,52 @@ def test_a_swaying_camera_is_followed() -> None:
 def test_a_fast_turn_is_followed() -> None:
     """23 degrees from one frame to the next, with another motion before."""
     frames = walk([0.0, -0.05, 0.35, 0.4, 0.0])
-    odometry = Odometry()
+    odometry = FromFirst()
     for frame in frames:
-        T = odometry(frame.depth_m, CAMERA)
+        T = odometry(frame.depth_m)
         assert T is not None
         assert_same(T, from_first(frame, frames[0]), metres=0.03, degrees=1)
 
 
 def test_rounding_does_not_add_up() -> None:
     """A motion that is not quite a rotation, applied again and again, is soon none at all."""
-    odometry = Odometry()
+    odometry = FromFirst()
     for _ in range(60):
-        T = odometry(SWAY[0].depth_m, CAMERA)
+        T = odometry(SWAY[0].depth_m)
         assert T is not None
     assert_same(T, np.eye(4), metres=0.001, degrees=0.05)
     assert np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() < 1e-12
 
 
 def test_what_moves_is_outvoted() -> None:
-    odometry = Odometry()
+    odometry = FromFirst()
     for i in range(8):
         T_world_camera = camera_pose(0.03 * i, x=0.04 * i)
         seen = look(i, [cabinet(2.4, -0.8 + 0.1 * i)], THINGS, T_world_camera)
-        T = odometry(seen.frame.depth_m, CAMERA)
+        T = odometry(seen.frame.depth_m)
         assert T is not None
         assert_same(T, inverse_T(camera_pose()) @ T_world_camera, metres=0.03, degrees=1)
 
 
+def test_bare_walls_do_not_carry_it_away() -> None:
+    """A noisy view of walls and floor: without its spring a guess slides along them, by a metre
+    here."""
+    scene, odometry = generate_scene("val", 121), FromFirst()
+    frames = [scene.render(i, color=False).frame for i in range(9)]
+    for frame in frames:
+        T = odometry(frame.depth_m, frame.camera)
+        assert T is not None
+        assert_same(T, from_first(frame, frames[0]), metres=0.12, degrees=1)
+
+
 def test_a_lost_camera_is_told_and_found_again() -> None:
-    odometry = Odometry()
+    odometry = FromFirst()
     for frame in SWAY[:4]:
-        odometry(frame.depth_m, CAMERA)
+        odometry(frame.depth_m)
     funnel = np.hypot(*np.indices(NOTHING.shape)).astype(np.float32) / 200 + 0.5
     for stranger in (NOTHING, NOTHING + np.float32(0.3), funnel):
-        assert odometry(stranger, CAMERA) is None
-    T = odometry(SWAY[4].depth_m, CAMERA)
+        assert odometry(stranger) is None
+    T = odometry(SWAY[4].depth_m)
     assert T is not None
     assert_same(T, from_first(SWAY[4], SWAY[0]), metres=0.02)
 
@@ -106,8 +134,10 @@ def test_a_lost_camera_is_told_and_found_again() -> None:
 def test_it_begins_with_the_first_frame_that_shows_something() -> None:
     odometry = Odometry()
     assert odometry(NOTHING, CAMERA) is None
-    first = odometry(SWAY[0].depth_m, CAMERA)
-    assert first is not None and (first == np.eye(4)).all()
+    first, true = odometry(SWAY[0].depth_m, CAMERA), SWAY[0].T_world_camera
+    assert first is not None
+    assert abs(first[2, 3] - true[2, 3]) < 0.01  # its world is levelled
+    assert first[2, :3] @ true[2, :3] > np.cos(np.radians(0.5))
 
 
 def test_a_recording_gets_poses_in_a_levelled_world(tmp_path: Path) -> None:

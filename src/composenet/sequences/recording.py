@@ -40,8 +40,8 @@ class RecordedSequence:
 
     name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
     where every frame is in its camera's own levelled frame. T_level_source: (4, 4), maps the
-    recording's own world to the levelled one (identity without poses; with odometry that world is
-    the first frame's camera). Iterate as often as
+    recording's own world to the levelled one (identity without poses; with odometry that
+    world is levelled by the first frame alone). Iterate as often as
     wanted; frames come in order, `Frame.index` counts the recording's frames, skipped ones
     included.
     """
@@ -170,14 +170,14 @@ class RecordedSequence:
         odometry, posed = Odometry(), []
         for frame in watch(self._frames):
             try:
-                T_first_camera = odometry(self._read_depth_m(frame), self.camera)
+                T_source_camera = odometry(self._read_depth_m(frame), self.camera)
             except SequenceError as error:
                 self._skip(frame, str(error))
                 continue
-            if T_first_camera is None:
+            if T_source_camera is None:
                 self._skip(frame, "odometry lost the camera: it shows too little of what was seen")
             else:
-                posed.append(replace(frame, T_source_camera=T_first_camera))
+                posed.append(replace(frame, T_source_camera=T_source_camera))
         if not posed:
             raise self._nothing_left()
         self._frames = posed

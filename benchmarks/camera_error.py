@@ -1,0 +1,120 @@
+"""How well odometry finds the camera's way in recordings whose poses are known.
+
+python benchmarks/camera_error.py RECORDINGS... [--out benchmarks/results/odometry.json]
+
+Each is a recording, or a folder of recordings. The error of a frame is the distance between the
+found and the true camera, and the angle between them, both told from the first frame's camera.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from composenet.errors import DataError, SequenceError
+from composenet.geometry.transform import angle_between_deg, inverse_T
+from composenet.metrics.report import RunInfo
+from composenet.records import FloatArray
+from composenet.sequences import Odometry, RecordedSequence, open_sequence
+
+
+@dataclass(frozen=True)
+class CameraErrors:
+    """Of one recording. cm, degrees: (N,) of the frames where the camera was not lost, in order;
+    seconds: (M,) of all frames."""
+
+    name: str
+    cm: FloatArray
+    degrees: FloatArray
+    seconds: FloatArray
+
+    @property
+    def row(self) -> dict[str, float | str]:
+        """For the table."""
+        return {
+            "recording": self.name,
+            "frames": len(self.seconds),
+            "lost": len(self.seconds) - len(self.cm),
+            "error_cm_median": round(float(np.median(self.cm)), 1),
+            "error_cm_max": round(float(self.cm.max()), 1),
+            "error_cm_end": round(float(self.cm[-1]), 1),
+            "error_deg_median": round(float(np.median(self.degrees)), 2),
+            "seconds_per_frame_median": round(float(np.median(self.seconds)), 3),
+        }
+
+
+def camera_errors(sequence: RecordedSequence) -> CameraErrors:
+    """Follow the camera through a recording with poses."""
+    odometry, T_found_true = Odometry(), None
+    cm, degrees, seconds = [], [], []
+    for frame in sequence:
+        start = time.perf_counter()
+        found = odometry(frame.depth_m, frame.camera)
+        seconds.append(time.perf_counter() - start)
+        if found is None:
+            continue
+        if T_found_true is None:
+            T_found_true = found @ inverse_T(frame.T_world_camera)
+        true = T_found_true @ frame.T_world_camera
+        cm.append(100 * np.linalg.norm(found[:3, 3] - true[:3, 3]))
+        degrees.append(angle_between_deg(found[:3, :3], true[:3, :3]))
+    if not cm:
+        raise DataError(f"{sequence.name}: odometry found no camera at all in it")
+    return CameraErrors(sequence.name, np.array(cm), np.array(degrees), np.array(seconds))
+
+
+def opened(path: Path) -> list[RecordedSequence]:
+    """The recording, or those in the folder, that have poses. Raises DataError."""
+    try:
+        found = [open_sequence(path)]
+    except SequenceError:
+        folders = sorted(p for p in path.glob("*") if p.is_dir())
+        if not folders:
+            raise
+        found = [open_sequence(folder) for folder in folders]
+    if lacking := [sequence.name for sequence in found if not sequence.has_poses]:
+        raise DataError(f"{path}: {lacking[0]} has no poses to compare with")
+    return found
+
+
+def main(
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | None = None
+) -> None:
+    """Print the errors of each recording and of all."""
+    found = []
+    for sequence in (one for path in recordings for one in opened(path)):
+        found.append(camera_errors(sequence))
+        print(*(f"{name} {value} " for name, value in found[-1].row.items()), flush=True)
+    cm = np.concatenate([one.cm for one in found])
+    ends = np.array([one.cm[-1] for one in found])
+    overall = {
+        "recordings": len(found),
+        "frames": sum(len(one.seconds) for one in found),
+        "lost": sum(len(one.seconds) - len(one.cm) for one in found),
+        "error_cm_median": round(float(np.median(cm)), 1),
+        "error_deg_median": round(float(np.median(np.concatenate([f.degrees for f in found]))), 2),
+        "frames_within_5_cm": round(100 * float((cm < 5).mean()), 1),
+        "frames_within_25_cm": round(100 * float((cm < 25).mean()), 1),
+        "ends_within_5_cm": round(100 * float((ends < 5).mean()), 1),
+        "ends_within_25_cm": round(100 * float((ends < 25).mean()), 1),
+        "seconds_per_frame_median": round(
+            float(np.median(np.concatenate([one.seconds for one in found]))), 3
+        ),
+    }
+    print(overall)
+    if out is not None:
+        names = " ".join(str(path) for path in recordings)
+        data = ", ".join(path.resolve().name for path in recordings)
+        info = RunInfo(data, 0, f"python benchmarks/camera_error.py {names}")
+        rows = {"all": overall, "by_recording": [one.row for one in found]}
+        out.write_text(json.dumps(asdict(info) | rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
