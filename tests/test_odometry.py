@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -187,6 +188,13 @@ def test_frames_without_the_room_are_skipped_with_the_reason(tmp_path: Path) -> 
         Image.fromarray(np.zeros_like(hand)).save(folder / f"depth/{i}.png")
     with pytest.raises(SequenceError, match="no measurement"):
         open_sequence(folder, options=OPTIONS)
+
+
+def test_a_wrong_depth_scale_is_named_before_the_camera_is_sought(tmp_path: Path) -> None:
+    folder = save(tmp_path / "walk", SWAY[:3])
+    wrong = replace(OPTIONS, depth_scale=1.0)
+    with pytest.raises(SequenceError, match="is depth_scale 1000 meant"):
+        open_sequence(folder, options=wrong, watch=lambda frames: pytest.fail("it was sought"))
 
 
 def test_track_follows_a_recording_without_poses(

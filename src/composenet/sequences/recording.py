@@ -40,10 +40,9 @@ class RecordedSequence:
 
     name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
     where every frame is in its camera's own levelled frame. T_level_source: (4, 4), maps the
-    recording's own world to the levelled one (identity without poses; with odometry that
-    world is levelled by the first frame alone). Iterate as often as
-    wanted; frames come in order, `Frame.index` counts the recording's frames, skipped ones
-    included.
+    recording's own world to the levelled one (identity without poses; with odometry that world is
+    levelled by the first frame alone). Iterate as often as wanted; frames come in order,
+    `Frame.index` counts the recording's frames, skipped ones included.
     """
 
     def __init__(
@@ -167,6 +166,7 @@ class RecordedSequence:
 
     def _follow_camera(self, watch: Watch) -> None:
         """Give every frame a pose by odometry; the frames where it loses the camera are skipped."""
+        checks.check_depth(self._source.path, self._read_samples(), self._depth_scale)
         odometry, posed = Odometry(), []
         for frame in watch(self._frames):
             try:
