@@ -88,7 +88,6 @@ def align(
     target: Cloud,
     source: Cloud,
     guesses: Sequence[FloatArray],
-    radii_m: Sequence[float] = REJECTION_RADII_M,
     reach_m: float = np.inf,
 ) -> Alignment | None:
     """The alignment of least misfit over all first guesses `T_target_source` (4, 4), the earlier
@@ -98,7 +97,7 @@ def align(
         return None
     best: Alignment | None = None
     for guess in guesses:
-        found = _measured(target, source, _refined(target, source, guess, radii_m))
+        found = _measured(target, source, _refined(target, source, guess))
         if not _plausible(found.T_target_source, source.origin, reach_m):
             continue
         if best is None or found.misfit_m < _BETTER_FIT * best.misfit_m:
@@ -113,12 +112,10 @@ def _plausible(T: FloatArray, middle: FloatArray, reach_m: float) -> bool:
     return bool(step_m <= reach_m and angle_between_deg(T[:3, :3], np.eye(3)) <= MAX_TURN_DEG)
 
 
-def _refined(
-    target: Cloud, source: Cloud, T_target_source: FloatArray, radii_m: Sequence[float]
-) -> FloatArray:
+def _refined(target: Cloud, source: Cloud, T_target_source: FloatArray) -> FloatArray:
     """One pass for each radius, of the source's points that have a partner within it."""
     library = small_gicp()
-    for radius_m in radii_m:
+    for radius_m in REJECTION_RADII_M:
         paired = _reciprocal(target, source, T_target_source, radius_m)
         if paired.sum() < MIN_POINTS:
             continue
