@@ -158,6 +158,16 @@ def test_small_clusters_are_dropped(voxels: int, kept: int) -> None:
     assert len(found.center) == kept
 
 
+@pytest.mark.parametrize(("seen", "kept"), [(0, 0), (4, 0), (5, 1), (200, 1)])
+def test_what_is_only_remembered_is_not_found(seen: int, kept: int) -> None:
+    fields, batch = field_of([CHAIR])
+    remembered = torch.ones_like(batch.remembered)
+    remembered[:seen] = False  # voxels of the chair come first
+    (found,) = propose(fields, replace(batch, remembered=remembered), CONFIG)
+    assert len(found.center) == kept
+    np.testing.assert_array_equal(found.voxels, [200] * kept)
+
+
 @pytest.mark.parametrize("things", [[], [Thing((20, 20, 9), (12, 12, 18), 4, objectness=0.4)]])
 def test_nothing_found(things: list[Thing]) -> None:
     (found,) = propose(*field_of(things), CONFIG)

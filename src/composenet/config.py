@@ -36,7 +36,7 @@ class VolumeConfig:
     memory_frames: Annotated[int, Field(ge=0)] = 150
     """surfaces that none of the last so many frames saw are forgotten; 0: each frame alone
     [paper]"""
-    memory_reach_m: Positive = 0.8
+    memory_reach_m: Positive = 3.0
     """how far beyond the bounds of what is seen the remembered surface is looked at"""
 
 

@@ -22,6 +22,8 @@ BOX_LIMITS_M = (0.15, 5.0)
 """Boxes are taken to be no smaller and no larger than furniture."""
 ALIKE_IOU = 0.9
 """Of proposals that overlap more than this only the first is looked at."""
+MIN_SEEN_VOXELS = 5
+"""So many voxels of a cluster are what the frame sees itself; the others may be remembered."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +90,14 @@ def _distinct(clash: Tensor) -> Tensor:
 def propose(
     fields: VoxelFields, batch: VolumeBatch, config: DetectionConfig
 ) -> tuple[Proposals, ...]:
-    """Proposals of every frame of the batch, strongest first."""
+    """Proposals of every frame of the batch, strongest first. What the frame shows nothing of is
+    none, however well it is remembered."""
     votes = batch.coords[:, 1:].to(fields.center_offset.dtype) + fields.center_offset
     objectness = torch.sigmoid(fields.objectness)
     out = []
     for frame in range(batch.size):
         rows = (batch.coords[:, 0] == frame) & (objectness > config.objectness_threshold)
-        out.append(_propose_frame(rows, votes, objectness, fields, batch.voxel_size_m, config))
+        out.append(_propose_frame(rows, votes, objectness, fields, batch, config))
     return tuple(out)
 
 
@@ -103,7 +106,7 @@ def _propose_frame(
     votes: Tensor,
     objectness: Tensor,
     fields: VoxelFields,
-    voxel_size_m: float,
+    batch: VolumeBatch,
     config: DetectionConfig,
 ) -> Proposals:
     n_classes = fields.class_logits.shape[1]
@@ -114,6 +117,7 @@ def _propose_frame(
     values = torch.cat(
         [
             votes.new_ones(len(votes), 1),
+            ~batch.remembered[rows, None],
             weight[:, None],
             votes,
             fields.extents[rows],
@@ -123,17 +127,17 @@ def _propose_frame(
     )
     modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
     sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
-    count = sums[:, 0]
-    mean = sums / count.clamp_min(1)[:, None]
-    large = (count >= config.min_cluster_voxels) & (mean[:, 1] >= config.min_score)
-    keep = torch.nonzero(large)[:, 0]
-    order = keep[torch.argsort(mean[keep, 1], descending=True, stable=True)]
+    count, seen = sums[:, 0], sums[:, 1]
+    mean = sums[:, 2:] / count.clamp_min(1)[:, None]
+    large = (count >= config.min_cluster_voxels) & (seen >= MIN_SEEN_VOXELS)
+    keep = torch.nonzero(large & (mean[:, 0] >= config.min_score))[:, 0]
+    order = keep[torch.argsort(mean[keep, 0], descending=True, stable=True)]
     order = order[: config.max_proposals]
     return Proposals(
-        center=mean[order, 2:5] * voxel_size_m,
-        extents=mean[order, 5:8] * voxel_size_m,
-        class_probabilities=mean[order, 8:],
-        score=mean[order, 1],
+        center=mean[order, 1:4] * batch.voxel_size_m,
+        extents=mean[order, 4:7] * batch.voxel_size_m,
+        class_probabilities=mean[order, 7:],
+        score=mean[order, 0],
         voxels=count[order],
     )
 
