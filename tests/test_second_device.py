@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from composenet.geometry.procrustes import fit_similarity
+from composenet.network.box_head import pool_by_box
+from composenet.network.sparse import build_pyramid, submanifold_conv
 from composenet.network.weights import default_weights, load_weights
 from composenet.pipeline import ObjectTracker
 from composenet.sequences import open_sequence
 from composenet.training.loop import Trainer
 from composenet.training.processes import Group
+from composenet.volume.tsdf import dense_tsdf
 from second_device import SECOND, FarTensor, second_device
 from training_cases import CONFIG, batch_of, options
 
@@ -54,6 +58,85 @@ def test_the_second_device_refuses_what_cuda_refuses() -> None:
         w = torch.ones(3, device=SECOND, requires_grad=True)
         (w * both).sum().backward()
         assert w.grad is not None and w.grad.cpu().tolist() == [1, 2, 3]
+
+
+def agree(near: Sequence[torch.Tensor], far: Sequence[torch.Tensor], share: float = 1e-4) -> None:
+    """Equal but for rounding, as a share of the largest value."""
+    for one, another in zip(near, far, strict=True):
+        largest = float(one.abs().max())
+        torch.testing.assert_close(another.cpu(), one, rtol=0, atol=share * largest)
+
+
+def test_sparse_convolution_as_on_the_cpu_and_the_same_twice(other: torch.device) -> None:
+    g = torch.Generator().manual_seed(0)
+    sites = torch.randint(0, 24, (6000, 3), generator=g)
+    coords = torch.unique(torch.cat([sites[:, :1] % 2, sites], dim=1), dim=0)
+    features = torch.randn(len(coords), 16, generator=g)
+    weight, probe = (torch.randn(*n, generator=g) for n in ((27, 16, 24), (len(coords), 24)))
+
+    def run(device: torch.device) -> list[torch.Tensor]:
+        level = build_pyramid(coords.to(device), 2, 2)[0]
+        f, w = (x.clone().requires_grad_(True) for x in (features, weight))
+        out = submanifold_conv(f.to(device), w.to(device), level)
+        (out * probe.to(device)).sum().backward()
+        assert f.grad is not None and w.grad is not None
+        return [out.detach(), f.grad, w.grad]
+
+    far = run(other)
+    agree(run(CPU), far)
+    for one, again in zip(far, run(other), strict=True):
+        assert torch.equal(one.cpu(), again.cpu())
+
+
+def test_pooling_as_on_the_cpu(other: torch.device) -> None:
+    g = torch.Generator().manual_seed(0)
+    values, weight = torch.randn(500, 8, generator=g), torch.rand(500, 1, generator=g)
+    box = torch.randint(0, 40, (500,), generator=g).sort().values
+    box = torch.where(box == 7, 6, box)  # one is empty
+
+    def run(device: torch.device) -> list[torch.Tensor]:
+        v, w = (x.clone().requires_grad_(True) for x in (values, weight))
+        pooled = pool_by_box(v.to(device), box.to(device), w.to(device), 40)
+        (pooled * torch.linspace(0, 1, 16).to(device)).sum().backward()
+        assert v.grad is not None and w.grad is not None
+        return [pooled.detach(), v.grad, w.grad]
+
+    agree(run(CPU), run(other))
+
+
+def test_the_distance_field_as_on_the_cpu(other: torch.device, recordings: Path) -> None:
+    frame = next(iter(open_sequence(recordings / "val_00000")))
+    T_camera_grid = torch.eye(4)
+    T_camera_grid[:3, 3] = torch.tensor([-2.4, -2.4, 0.2])
+
+    def run(device: torch.device) -> list[torch.Tensor]:
+        given = [
+            torch.from_numpy(np.asarray(x, np.float32)) for x in (frame.depth_m, frame.camera.K)
+        ]
+        depth, K, T = (x.to(device) for x in (*given, T_camera_grid))
+        return list(dense_tsdf(depth, K, T, (96, 96, 48), 0.05, 0.15))
+
+    (near, known), (far, far_known) = run(CPU), run(other)
+    assert known.any()
+    # where rounding sends a point to the next pixel, the field may be another's
+    same = (near - far.cpu()).abs() < 1e-4
+    assert same.float().mean() > 0.999
+    assert (known == far_known.cpu()).float().mean() > 0.999
+
+
+def test_similarity_fits_as_on_the_cpu(other: torch.device) -> None:
+    g = torch.Generator().manual_seed(0)
+    source, target = (torch.randn(12, 50, 3, generator=g) for _ in range(2))
+    target = target * 0.05 + 1.7 * source
+
+    def run(device: torch.device) -> list[torch.Tensor]:
+        s = source.clone().requires_grad_(True)
+        fit = fit_similarity(s.to(device), target.to(device))
+        (fit.R[:, 0].sum() + fit.scale.sum() + fit.t.square().sum()).backward()
+        assert s.grad is not None and bool(fit.observable.all())
+        return [fit.R.detach(), fit.scale.detach(), fit.t.detach(), s.grad]
+
+    agree(run(CPU), run(other), share=1e-3)
 
 
 @pytest.mark.parametrize("joint", [False, True])

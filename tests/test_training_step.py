@@ -86,7 +86,25 @@ def test_all_parts_learn(recordings: Path, tmp_path: Path) -> None:
     assert len(parts) == 4 and DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values[0])
 
 
-@pytest.mark.parametrize("parts", ["all", "detector", "boxes", "objects"])
+def test_apart_the_voxels_learn_nothing_from_the_objects(recordings: Path, tmp_path: Path) -> None:
+    batch, moved = batch_of(recordings), []
+    for name, weight in (("apart", 4.0), ("apart", 0.0), ("all", 4.0)):
+        weights = replace(CONFIG.weights, **dict.fromkeys(OBJECT_LOSSES, weight))
+        config = replace(CONFIG, parts=name, joint_from_step=0, weights=weights)
+        trainer = Trainer(replace(config, gradient_clip=1e9), options(tmp_path), ALONE)
+        before = state_of(trainer)
+        values = trainer.step(batch, 1e-3)
+        assert DETECTOR_LOSSES | set(OBJECT_LOSSES) <= set(values)
+        learned = {n for n, _ in trainer.module.network.objects.named_parameters()}
+        learned &= changed(before, state_of(trainer))["objects"]
+        assert bool(learned) == (weight > 0)
+        moved.append(trainer.module.network.backbone.state_dict())
+    one, silent, together = moved
+    assert all(torch.equal(one[name], silent[name]) for name in one)
+    assert any(not torch.equal(one[name], together[name]) for name in one)
+
+
+@pytest.mark.parametrize("parts", ["all", "apart", "detector", "boxes", "objects"])
 def test_frames_without_objects_do_no_harm(recordings: Path, tmp_path: Path, parts: str) -> None:
     config = replace(CONFIG, parts=parts, joint_from_step=1, min_visible_pixels=10**6)
     trainer, batch = Trainer(config, options(tmp_path), ALONE), batch_of(recordings, config)

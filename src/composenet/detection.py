@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,6 +46,10 @@ class Proposals:
         """Both, one after the other."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Proposals(*(torch.cat(pair) for pair in pairs))
+
+    def __getitem__(self, rows: Tensor) -> Proposals:
+        """Some of them, in the order of rows (int64)."""
+        return Proposals(*(value[rows] for value in vars(self).values()))
 
 
 def mean_shift(
@@ -178,27 +183,43 @@ def second_look(
     two boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
     classes: solid furniture cannot share that much space.
     """
-    out = []
-    for index, p in enumerate(proposals):
-        extents = p.extents.clamp(*BOX_LIMITS_M)
-        first = _distinct(pairwise_iou(p.center, extents, p.center, extents) > ALIKE_IOU)
-        first = first.to(extents.device)
-        seed, extents, voxels = p.center[first], extents[first], p.voxels[first]
-        frame = torch.full((len(seed),), index, device=seed.device)
-        boxes = network.box_fields(fields, batch, seed, extents, frame)
-        score = boxes.quality.sigmoid()
-        order = torch.argsort(score, descending=True, stable=True)
-        order = order[score[order] >= config.min_score]
-        center, extents = boxes.center[order], boxes.extents[order]
-        overlap = pairwise_iou(center, extents, center, extents)
-        order = order[_distinct(overlap > config.duplicate_iou).to(order.device)]
-        out.append(
-            Proposals(
-                center=boxes.center[order],
-                extents=boxes.extents[order],
-                class_probabilities=boxes.class_logits[order].softmax(dim=1),
-                score=score[order],
-                voxels=voxels[order],
+    seeds = [_looked_at(p) for p in proposals]
+    frame = torch.repeat_interleave(
+        torch.arange(len(seeds), device=batch.coords.device),
+        torch.tensor([len(seed.center) for seed in seeds], device=batch.coords.device),
+    )
+    center = torch.cat([seed.center for seed in seeds])
+    extents = torch.cat([seed.extents for seed in seeds])
+    boxes = network.box_fields(fields, batch, center, extents, frame)
+    classes = boxes.class_logits.softmax(dim=1)
+    seen_again, first = [], 0
+    for seed in seeds:
+        own = slice(first, first := first + len(seed.center))
+        seen_again.append(
+            _best(
+                Proposals(
+                    boxes.center[own],
+                    boxes.extents[own],
+                    classes[own],
+                    boxes.quality[own].sigmoid(),
+                    seed.voxels,
+                ),
+                config,
             )
         )
-    return tuple(out)
+    return tuple(seen_again)
+
+
+def _looked_at(proposals: Proposals) -> Proposals:
+    """Of proposals nearly alike the first, none smaller or larger than furniture."""
+    center, extents = proposals.center, proposals.extents.clamp(*BOX_LIMITS_M)
+    first = _distinct(pairwise_iou(center, extents, center, extents) > ALIKE_IOU)
+    return dataclasses.replace(proposals, extents=extents)[first.to(extents.device)]
+
+
+def _best(proposals: Proposals, config: DetectionConfig) -> Proposals:
+    """Those that are good enough, strongest first, none over a stronger one."""
+    order = torch.argsort(proposals.score, descending=True, stable=True)
+    ranked = proposals[order[proposals.score[order] >= config.min_score]]
+    overlap = pairwise_iou(ranked.center, ranked.extents, ranked.center, ranked.extents)
+    return ranked[_distinct(overlap > config.duplicate_iou).to(overlap.device)]

@@ -50,12 +50,16 @@ def voxels_inside(batch: VolumeBatch, crops: CropBatch) -> tuple[Tensor, Tensor]
 
 def pool_by_box(values: Tensor, box: Tensor, weight: Tensor, n_boxes: int) -> Tensor:
     """(P, F) values of voxels of boxes -> (n_boxes, 2F): largest and weighted mean, zero where a
-    box is empty. values >= 0; box: (P,) int64, ascending; weight: (P, 1) >= 0."""
+    box is empty. box: (P,) int64, ascending; weight: (P, 1) >= 0."""
     largest = values.new_zeros(n_boxes, values.shape[1])
-    filled, counts = torch.unique_consecutive(box, return_counts=True)
-    if len(filled):  # a scatter's backward pass takes twice as long
-        parts = torch.stack([part.amax(dim=0) for part in values.split(counts.tolist())])
-        largest = largest.index_copy(0, filled, parts)
+    if values.device.type == "cpu":  # a scatter's backward pass takes twice as long
+        filled, counts = torch.unique_consecutive(box, return_counts=True)
+        if len(filled):
+            parts = torch.stack([part.amax(dim=0) for part in values.split(counts.tolist())])
+            largest = largest.index_copy(0, filled, parts)
+    else:  # and here it is one kernel for some hundreds
+        index = box[:, None].expand_as(values)
+        largest = largest.scatter_reduce(0, index, values, "amax", include_self=False)
     total = values.new_zeros(n_boxes, 1).index_add(0, box, weight)
     mean = values.new_zeros(n_boxes, values.shape[1]).index_add(0, box, weight * values)
     return torch.cat([largest, mean / total.clamp_min(1e-6)], dim=1)

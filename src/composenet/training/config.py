@@ -52,8 +52,9 @@ class TrainingConfig:
     """in Adam's gradient; the paper's 1e-5 silenced a third of the channels (`training.silent`)"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    parts: Literal["all", "detector", "boxes", "objects"] = "all"
-    """what learns; the detector alone costs a fifth of a whole step, and the second look at boxes
+    parts: Literal["all", "apart", "detector", "boxes", "objects"] = "all"
+    """what learns; `apart` is all of it, but the voxel features learn nothing from the object
+    network; the detector alone costs a fifth of a whole step on a CPU, and the second look at boxes
     alone, or the object network alone, sees voxel features that are held fixed"""
     joint_from_step: Annotated[int, Field(ge=0)] = 3200
     """until then the object network learns on jittered true boxes with the features held fixed,

@@ -69,7 +69,7 @@ def samples_of_scene(
     """At most frames_per_scene samples of a walk through the scene, every one with what the frames
     before it on the walk saw; each with a slightly wrong floor height. Occupancy is empty
     where the parts in training do not learn from it; validation, not augmented, always has it."""
-    solids = not augment or config.parts in ("all", "objects")
+    solids = not augment or config.parts in ("all", "apart", "objects")
     remembers = config.model.volume.memory_frames > 0
     times = walk(scene.n_frames, config.frames_per_scene, rng, LONG_WALKS * remembers)
     count = min(config.frames_per_scene, len(times))

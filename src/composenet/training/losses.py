@@ -232,8 +232,7 @@ def _correspondence_loss(
     weight = solid.to(predicted.dtype)
     weight = weight / weight.sum(dim=1, keepdim=True)
     per_object = []
-    for m in range(len(rows)):
-        order = int(batch.symmetry_order[rows[m]])
+    for m, order in enumerate(batch.symmetry_order[rows].tolist()):
         cells = torch.nonzero(solid[m])[:, 0]
         turned = true[m, cells] @ _turns(order, true)  # (order, cells, 3)
         gaps = (turned - predicted[m, cells]).abs().sum(dim=-1).mean(dim=-1)
@@ -244,8 +243,7 @@ def _correspondence_loss(
 def rotation_square_error(R: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
     """(M,) squared Frobenius distance to the nearest valid rotation."""
     errors = []
-    for m in range(len(rows)):
-        order = int(batch.symmetry_order[rows[m]])
+    for m, order in enumerate(batch.symmetry_order[rows].tolist()):
         valid = batch.R_grid_object[rows[m]] @ _turns(order, R)
         errors.append((valid - R[m]).square().sum(dim=(1, 2)).min())
     return torch.stack(errors)

@@ -53,7 +53,7 @@ class LossModule(nn.Module):
         """Unweighted losses by name. joint: second stage (gradients reach the backbone through
         the object network, and boxes are corrected before it looks into them)."""
         config = self.config
-        learns_voxels = config.parts in ("all", "detector")
+        learns_voxels = config.parts in ("all", "apart", "detector")
         learns_boxes = config.parts != "objects"
         fields = self.network.voxel_fields(batch.volume)
         proposals: tuple[Proposals, ...] = ()
@@ -77,7 +77,7 @@ class LossModule(nn.Module):
         chosen = chosen_objects(boxes, config.max_crops, generator)
         rows = boxes.rows[chosen]
         objects = self.network.object_fields(
-            fields if joint else fields.detach(),
+            fields if joint and config.parts != "apart" else fields.detach(),
             batch.volume,
             boxes[chosen].crops(config.model.network.crop_margin),
             corrected.class_logits[chosen].detach().softmax(dim=1),
@@ -115,7 +115,7 @@ class LossModule(nn.Module):
 
 def _learned(network: ComposeNet, config: TrainingConfig) -> tuple[nn.Module, ...]:
     """What config.parts trains."""
-    if config.parts == "all":
+    if config.parts in ("all", "apart"):
         return (network,)
     if config.parts == "detector":
         return network.backbone, network.detection, network.boxes
