@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -36,7 +36,7 @@ from composenet.volume.tsdf import dense_tsdf
 
 SEED = 1
 REPEATS = 20
-PARTS = ("detector", "objects", "apart")
+Parts = Literal["all", "apart", "detector", "boxes", "objects"]
 
 
 def milliseconds(work: Callable[[], object], device: torch.device, repeats: int = REPEATS) -> float:
@@ -105,10 +105,10 @@ def batches_of(frames: int, count: int, workers: int) -> list[TrainingBatch]:
 
 
 def training_ms(
-    parts: str, batches: Sequence[TrainingBatch], device: torch.device
+    parts: Parts, batches: Sequence[TrainingBatch], device: torch.device
 ) -> dict[str, float]:
     """Of a step with these parts."""
-    config = TrainingConfig(parts=parts, seed=SEED, joint_from_step=0)  # type: ignore[arg-type]
+    config = TrainingConfig(parts=parts, seed=SEED, joint_from_step=0)
     turn = iter(range(10**9))
     with tempfile.TemporaryDirectory() as folder:
         options = RunOptions(Path(folder), start_from=default_weights())
@@ -121,6 +121,7 @@ def training_ms(
         frames = batches[0].volume.size
         found = {"step": step_ms, "frames_per_second": 1e3 * frames / step_ms}
         if device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats(device)
             with profile(activities=[ProfilerActivity.CUDA]) as record:
                 for _ in range(3):
                     step()
@@ -149,9 +150,11 @@ def main(
     batches: int = 8,
     workers: int = 1,
     threads: int | None = None,
+    training: tuple[Parts, ...] = ("detector", "objects", "apart"),
     out: Path | None = None,
 ) -> None:
-    """Milliseconds on one device (auto, cpu, cuda or cuda:N)."""
+    """Milliseconds on one device (auto, cpu, cuda or cuda:N). workers: processes that make the
+    samples beforehand. training: which parts learn."""
     chosen = select_device(device)
     if threads:
         torch.set_num_threads(threads)
@@ -165,10 +168,10 @@ def main(
     note("distance_field_ms", round(field_ms(chosen), 3))
     note("convolution_ms", {k: round(v, 3) for k, v in convolution_ms(chosen).items()})
     note("tracking_ms", tracking_ms(chosen))
-    note("training_ms", {parts: training_ms(parts, made, chosen) for parts in PARTS})
+    note("training_ms", {parts: training_ms(parts, made, chosen) for parts in training})
     if out is not None:
         command = f"python benchmarks/device_speed.py --device {device}"
-        command += f" --batch-frames {batch_frames}"
+        command += f" --batch-frames {batch_frames} --training {' '.join(training)}"
         info = asdict(
             RunInfo("val_00000 and training scenes", SEED, command, weights_id(default_weights()))
         )

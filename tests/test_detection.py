@@ -10,12 +10,12 @@ import pytest
 import torch
 from sklearn.cluster import MeanShift
 
+from composenet import detection
 from composenet.config import DetectionConfig
 from composenet.detection import (
     ALIKE_IOU,
     BOX_LIMITS_M,
     Proposals,
-    mean_shift,
     propose,
     remembered,
     second_look,
@@ -41,6 +41,14 @@ def blobs(seed: int, count: int, spread: float = 1.5, apart: float = 30.0) -> to
     centers = apart * places + rng.uniform(-4, 4, (count, 3))
     parts = [c + spread * rng.normal(size=(int(rng.integers(20, 80)), 3)) for c in centers]
     return torch.from_numpy(np.concatenate(parts)).float()
+
+
+def mean_shift(points: torch.Tensor, *args, **kwargs) -> tuple[torch.Tensor, torch.Tensor]:
+    """Modes and members of one frame."""
+    frame = torch.zeros(len(points), dtype=torch.long)
+    modes, of, member = detection.mean_shift(points, frame, *args, **kwargs)
+    assert not of.any() and len(of) == len(modes)
+    return modes, member
 
 
 def partition(labels: Sequence[int]) -> set[frozenset[int]]:
@@ -86,6 +94,24 @@ def test_the_strongest_mode_comes_first() -> None:
     modes, member = mean_shift(torch.cat(parts), 8.0, 20)
     np.testing.assert_allclose(modes[:, 0], [40, 80, 0])
     assert torch.bincount(member).tolist() == [90, 60, 30]
+
+
+@pytest.mark.parametrize("radius", [6.0, 8.0, 20.0])
+def test_each_frame_is_shifted_for_itself(radius: float) -> None:
+    """Frames of different sizes in one place, one of them empty, their points mixed."""
+    points = [blobs(seed, count, apart=12.0) for seed, count in ((0, 5), (1, 1), (2, 8))]
+    frame = torch.cat([torch.full((len(p),), f) for p, f in zip(points, (0, 1, 3), strict=True)])
+    order = torch.randperm(len(frame), generator=torch.Generator().manual_seed(0))
+    every = torch.cat(points)[order]
+    modes, of, member = detection.mean_shift(every, frame[order], radius, 20)
+    assert of.tolist() == sorted(of.tolist()) and torch.equal(of[member], frame[order])
+    for index, own in zip((0, 1, 3), points, strict=True):
+        alone, alone_member = mean_shift(own, radius, 20)
+        torch.testing.assert_close(modes[of == index], alone, atol=1e-3, rtol=0)
+        back = torch.empty_like(order)
+        back[order] = torch.arange(len(order))
+        mine = member[back][frame == index] - int((of < index).sum())
+        assert torch.equal(mine, alone_member)
 
 
 @dataclass(frozen=True)

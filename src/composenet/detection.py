@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from composenet.config import DetectionConfig
@@ -47,48 +49,85 @@ class Proposals:
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Proposals(*(torch.cat(pair) for pair in pairs))
 
-    def __getitem__(self, rows: Tensor) -> Proposals:
+    def __getitem__(self, rows: Tensor | slice) -> Proposals:
         """Some of them, in the order of rows (int64)."""
         return Proposals(*(value[rows] for value in vars(self).values()))
 
 
 def mean_shift(
-    points: Tensor, radius: float, steps: int, bin_size: float = 2.0
-) -> tuple[Tensor, Tensor]:
-    """Flat-kernel mean shift: modes (K, 3), strongest first, and each point's mode (P,).
+    points: Tensor, frame: Tensor, radius: float, steps: int, bin_size: float = 2.0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Flat-kernel mean shift in every frame: modes (K, 3), frame by frame and strongest first, the
+    frame of each (K,), and each point's mode (P,). points: (P, 3), at least one; frame: (P,) int64.
 
     Points are summed in bins of bin_size, which act as weighted points and as seeds. Modes
     closer than the radius to a stronger one are merged into it; a point belongs to the mode
-    nearest to where its bin ended.
+    nearest to where its bin ended. All frames are shifted at once, each padded to the bins of the
+    fullest: on a GPU time goes by the number of operations, not by their size.
     """
-    bins, member = unique_rows(torch.div(points, bin_size, rounding_mode="floor").long())
-    weight = points.new_zeros(len(bins)).index_add_(0, member, torch.ones_like(points[:, 0]))
-    mean = points.new_zeros(len(bins), 3).index_add_(0, member, points) / weight[:, None]
-    seeds = mean.clone()
-    near = torch.cdist(seeds, mean) <= radius
+    bins = torch.div(points, bin_size, rounding_mode="floor").long()
+    bins, member = unique_rows(torch.cat([frame[:, None], bins], dim=1))  # frame by frame
+    own = bins[:, 0]
+    sizes = torch.bincount(own)
+    slot = torch.arange(len(bins), device=own.device) - (sizes.cumsum(0) - sizes)[own]
+    shape = (len(sizes), int(sizes.max()))
+    mass = points.new_zeros(len(bins)).index_add_(0, member, torch.ones_like(points[:, 0]))
+    mean = points.new_zeros(len(bins), 3).index_add_(0, member, points) / mass[:, None]
+    weight = points.new_full(shape, _NO_MASS).index_put_((own, slot), mass)
+    places = points.new_full((*shape, 3), _NOWHERE).index_put_((own, slot), mean)
+    seeds = places.clone()
+    moving = torch.arange(len(sizes), device=own.device)
     for _ in range(steps):
-        mass = near * weight
-        moved = (mass @ mean) / mass.sum(dim=1, keepdim=True)
-        shift = (moved - seeds).abs().amax()
-        seeds = moved
-        near = torch.cdist(seeds, mean) <= radius
-        if shift < 1e-3 * radius:
+        at, to = seeds[moving], places[moving]
+        pull = (torch.cdist(at, to) <= radius) * weight[moving, None]
+        moved = (pull @ to) / pull.sum(dim=2, keepdim=True)
+        seeds[moving] = moved
+        moving = moving[(moved - at).abs().amax(dim=(1, 2)) >= 1e-3 * radius]
+        if not len(moving):
             break
-    density = (near * weight).sum(dim=1)
-    order = torch.argsort(density, descending=True, stable=True)
-    ordered = seeds[order]
-    modes = ordered[_distinct(torch.cdist(ordered, ordered) <= radius).to(seeds.device)]
-    return modes, torch.cdist(seeds, modes).argmin(dim=1)[member]
+    density = ((torch.cdist(seeds, places) <= radius) * weight[:, None]).sum(dim=2)
+    order = torch.argsort(density, dim=1, descending=True, stable=True)
+    ended = seeds[own, slot]
+    modes, mode_frame = _separate(seeds.gather(1, order[..., None].expand_as(seeds)), sizes, radius)
+    distance = torch.cdist(ended, modes)
+    distance = torch.where(own[:, None] == mode_frame, distance, torch.inf)
+    return modes, mode_frame, distance.argmin(dim=1)[member]
 
 
-def _distinct(clash: Tensor) -> Tensor:
-    """Rows, int64, that clash with no earlier row that is kept. clash: (M, M) bool."""
-    table = clash.cpu().numpy()
-    alive = np.ones(len(table), dtype=bool)
-    for i in range(len(table)):
-        if alive[i]:
-            alive[i + 1 :] &= ~table[i, i + 1 :]
-    return torch.from_numpy(np.flatnonzero(alive))
+_NOWHERE = 1e4
+"""Where padding lies, in voxels: farther than any vote."""
+_NO_MASS = 1e-6
+"""What padding weighs: less than any point, but its means are numbers."""
+
+
+def _separate(seeds: Tensor, sizes: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Of each frame's seeds, best first, those closer than the radius to no better one, and their
+    frames. seeds: (F, S, 3), of which the first sizes (F,) count."""
+    places = seeds.cpu().numpy()
+    chosen: list[NDArray[np.float32]] = []
+    frames: list[int] = []
+    for index, size in enumerate(sizes.tolist()):
+        own = places[index, :size]
+
+        def close(i: int, own: NDArray[np.float32] = own) -> NDArray[np.bool_]:
+            return np.square(own - own[i]).sum(axis=1) <= radius**2
+
+        kept = _distinct(size, close)
+        chosen.append(own[kept])
+        frames += [index] * len(kept)
+    return torch.from_numpy(np.concatenate(chosen)).to(seeds.device), sizes.new_tensor(frames)
+
+
+def _distinct(count: int, alike: Callable[[int], NDArray[np.bool_]]) -> list[int]:
+    """Of `count` rows those that are like no earlier one that is kept. alike(i): (count,) which
+    rows are like row i."""
+    kept: list[int] = []
+    left = np.ones(count, dtype=bool)
+    while left.any():
+        kept.append(int(left.argmax()))
+        left &= ~alike(kept[-1])
+        left[kept[-1]] = False
+    return kept
 
 
 @torch.no_grad()
@@ -97,54 +136,49 @@ def propose(
 ) -> tuple[Proposals, ...]:
     """Proposals of every frame of the batch, strongest first. What the frame shows nothing of is
     none, however well it is remembered."""
-    votes = batch.coords[:, 1:].to(fields.center_offset.dtype) + fields.center_offset
     objectness = torch.sigmoid(fields.objectness)
-    out = []
-    for frame in range(batch.size):
-        rows = (batch.coords[:, 0] == frame) & (objectness > config.objectness_threshold)
-        out.append(_propose_frame(rows, votes, objectness, fields, batch, config))
-    return tuple(out)
-
-
-def _propose_frame(
-    rows: Tensor,
-    votes: Tensor,
-    objectness: Tensor,
-    fields: VoxelFields,
-    batch: VolumeBatch,
-    config: DetectionConfig,
-) -> Proposals:
-    n_classes = fields.class_logits.shape[1]
-    votes, weight = votes[rows], objectness[rows]
-    if len(votes) < config.min_cluster_voxels:
-        empty = votes.new_zeros
-        return Proposals(empty(0, 3), empty(0, 3), empty(0, n_classes), empty(0), empty(0))
+    rows = torch.nonzero(objectness > config.objectness_threshold)[:, 0]
+    votes = batch.coords[rows, 1:].to(fields.center_offset.dtype) + fields.center_offset[rows]
     values = torch.cat(
         [
             votes.new_ones(len(votes), 1),
             ~batch.remembered[rows, None],
-            weight[:, None],
+            objectness[rows, None],
             votes,
             fields.extents[rows],
             fields.class_logits[rows].softmax(dim=1),
         ],
         dim=1,
     )
-    modes, member = mean_shift(votes, config.mean_shift_radius_voxels, config.mean_shift_steps)
-    sums = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
-    count, seen = sums[:, 0], sums[:, 1]
-    mean = sums[:, 2:] / count.clamp_min(1)[:, None]
+    frame = batch.coords[rows, 0]
+    if len(rows):
+        radius = config.mean_shift_radius_voxels
+        modes, frame, member = mean_shift(votes, frame, radius, config.mean_shift_steps)
+        values = values.new_zeros(len(modes), values.shape[1]).index_add_(0, member, values)
+    count, seen = values[:, 0], values[:, 1]
+    mean = values[:, 2:] / count.clamp_min(1)[:, None]
     large = (count >= config.min_cluster_voxels) & (seen >= MIN_SEEN_VOXELS)
     keep = torch.nonzero(large & (mean[:, 0] >= config.min_score))[:, 0]
-    order = keep[torch.argsort(mean[keep, 0], descending=True, stable=True)]
-    order = order[: config.max_proposals]
-    return Proposals(
-        center=mean[order, 1:4] * batch.voxel_size_m,
-        extents=mean[order, 4:7] * batch.voxel_size_m,
-        class_probabilities=mean[order, 7:],
-        score=mean[order, 0],
-        voxels=count[order],
+    found = Proposals(
+        center=mean[:, 1:4] * batch.voxel_size_m,
+        extents=mean[:, 4:7] * batch.voxel_size_m,
+        class_probabilities=mean[:, 7:],
+        score=mean[:, 0],
+        voxels=count,
     )
+    return _by_frame(found[keep], frame[keep], batch.size, config.max_proposals)
+
+
+def _by_frame(
+    proposals: Proposals, frame: Tensor, n_frames: int, most: int | None = None
+) -> tuple[Proposals, ...]:
+    """The proposals of each frame, strongest first, at most so many. frame: (M,) int64."""
+    order = torch.argsort(proposals.score, descending=True, stable=True)
+    order = order[torch.argsort(frame[order], stable=True)]
+    ranked = proposals[order]
+    counts = torch.bincount(frame, minlength=n_frames).tolist()
+    firsts = np.cumsum([0, *counts]).tolist()
+    return tuple(ranked[a : min(b, a + (most or b))] for a, b in pairwise(firsts))
 
 
 def remembered(
@@ -183,43 +217,29 @@ def second_look(
     two boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
     classes: solid furniture cannot share that much space.
     """
-    seeds = [_looked_at(p) for p in proposals]
-    frame = torch.repeat_interleave(
-        torch.arange(len(seeds), device=batch.coords.device),
-        torch.tensor([len(seed.center) for seed in seeds], device=batch.coords.device),
+    counts = torch.tensor([len(p.center) for p in proposals])
+    frame = torch.repeat_interleave(torch.arange(len(proposals)), counts).to(batch.coords.device)
+    every = Proposals(
+        *(torch.cat(v) for v in zip(*(vars(p).values() for p in proposals), strict=True))
     )
-    center = torch.cat([seed.center for seed in seeds])
-    extents = torch.cat([seed.extents for seed in seeds])
-    boxes = network.box_fields(fields, batch, center, extents, frame)
+    every = dataclasses.replace(every, extents=every.extents.clamp(*BOX_LIMITS_M))
+    first = _no_two_over(every, frame, ALIKE_IOU)
+    frame, every = frame[first], every[first]
+    boxes = network.box_fields(fields, batch, every.center, every.extents, frame)
+    score = boxes.quality.sigmoid()
+    good = torch.nonzero(score >= config.min_score)[:, 0]
+    good = good[torch.argsort(score[good], descending=True, stable=True)]
     classes = boxes.class_logits.softmax(dim=1)
-    seen_again, first = [], 0
-    for seed in seeds:
-        own = slice(first, first := first + len(seed.center))
-        seen_again.append(
-            _best(
-                Proposals(
-                    boxes.center[own],
-                    boxes.extents[own],
-                    classes[own],
-                    boxes.quality[own].sigmoid(),
-                    seed.voxels,
-                ),
-                config,
-            )
-        )
-    return tuple(seen_again)
+    looked = Proposals(boxes.center, boxes.extents, classes, score, every.voxels)[good]
+    kept = _no_two_over(looked, frame[good], config.duplicate_iou)
+    return _by_frame(looked[kept], frame[good][kept], batch.size)
 
 
-def _looked_at(proposals: Proposals) -> Proposals:
-    """Of proposals nearly alike the first, none smaller or larger than furniture."""
-    center, extents = proposals.center, proposals.extents.clamp(*BOX_LIMITS_M)
-    first = _distinct(pairwise_iou(center, extents, center, extents) > ALIKE_IOU)
-    return dataclasses.replace(proposals, extents=extents)[first.to(extents.device)]
-
-
-def _best(proposals: Proposals, config: DetectionConfig) -> Proposals:
-    """Those that are good enough, strongest first, none over a stronger one."""
-    order = torch.argsort(proposals.score, descending=True, stable=True)
-    ranked = proposals[order[proposals.score[order] >= config.min_score]]
-    overlap = pairwise_iou(ranked.center, ranked.extents, ranked.center, ranked.extents)
-    return ranked[_distinct(overlap > config.duplicate_iou).to(overlap.device)]
+def _no_two_over(proposals: Proposals, frame: Tensor, iou: float) -> Tensor:
+    """Rows, int64, of the proposals that overlap no earlier one of their frame, that is kept, by
+    more than this. frame: (M,) int64."""
+    center, extents = proposals.center, proposals.extents
+    overlap = pairwise_iou(center, extents, center, extents) > iou
+    table = (overlap & (frame[:, None] == frame)).cpu().numpy()
+    kept = _distinct(len(table), lambda i: table[i])
+    return torch.tensor(kept, dtype=torch.long, device=frame.device)

@@ -74,7 +74,7 @@ class Trainer:
             self.module.parameters(),
             lr=config.learning_rate,
             weight_decay=config.weight_decay,
-            fused=group.device.type == "cpu" or None,  # None: torch chooses
+            fused=group.device.type in ("cpu", "cuda") or None,  # None: torch chooses
         )
         if resumed:
             with _fitting(self.checkpoint_path):
@@ -101,12 +101,12 @@ class Trainer:
             self.average.update_parameters(self.module.network)
         self.progress.step += 1
         self.progress.frames += batch.volume.size * self.group.size
-        values = {name: float(value.detach()) for name, value in losses.items()}
-        values["total"], values["gradient_norm"] = float(total.detach()), float(norm)
+        told = losses | {"total": total, "gradient_norm": norm}
         if len(errors.rotation_deg):
-            values["rotation_deg"] = float(errors.rotation_deg.median())
-            values["completion_iou"] = float(errors.completion_iou.mean())
-        return values
+            told["rotation_deg"] = errors.rotation_deg.median()
+            told["completion_iou"] = errors.completion_iou.mean()
+        numbers = torch.stack([value.detach() for value in told.values()]).tolist()
+        return dict(zip(told, numbers, strict=True))
 
     def save(self) -> None:
         """Checkpoint and, beside it, the averaged weights."""

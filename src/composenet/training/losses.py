@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -227,23 +228,39 @@ def _correspondence_loss(
     predicted: Tensor, points: Tensor, solid: Tensor, batch: TrainingBatch, rows: Tensor
 ) -> Tensor:
     """l1 where target geometry is, for the turn of the object that fits best."""
-    local = (points - batch.t[rows][:, None]) @ batch.R_grid_object[rows]
-    true = local / batch.scale_m[rows][:, None, None]
-    weight = solid.to(predicted.dtype)
-    weight = weight / weight.sum(dim=1, keepdim=True)
-    per_object = []
-    for m, order in enumerate(batch.symmetry_order[rows].tolist()):
-        cells = torch.nonzero(solid[m])[:, 0]
-        turned = true[m, cells] @ _turns(order, true)  # (order, cells, 3)
-        gaps = (turned - predicted[m, cells]).abs().sum(dim=-1).mean(dim=-1)
-        per_object.append(gaps.min())
-    return torch.stack(per_object).mean()
+    count = solid.sum(dim=1)
+    cells = solid.byte().argsort(dim=1, descending=True)[:, : int(count.max())]  # solid ones first
+    weight = solid.gather(1, cells) / count[:, None]
+    cells = cells[..., None].expand(-1, -1, 3)
+    predicted, points = predicted.gather(1, cells), points.gather(1, cells)
+    true = (points - batch.t[rows][:, None]) @ batch.R_grid_object[rows]
+    true = true / batch.scale_m[rows][:, None, None]
+
+    def smallest(own: Tensor, turns: Tensor) -> Tensor:
+        gaps = (true[own][:, None] @ turns - predicted[own][:, None]).abs().sum(dim=-1)
+        return (weight[own][:, None] * gaps).sum(dim=-1).amin(dim=1)
+
+    return _of_each(batch, rows, smallest, predicted).mean()
 
 
 def rotation_square_error(R: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
     """(M,) squared Frobenius distance to the nearest valid rotation."""
-    errors = []
-    for m, order in enumerate(batch.symmetry_order[rows].tolist()):
-        valid = batch.R_grid_object[rows[m]] @ _turns(order, R)
-        errors.append((valid - R[m]).square().sum(dim=(1, 2)).min())
-    return torch.stack(errors)
+
+    def smallest(own: Tensor, turns: Tensor) -> Tensor:
+        valid = batch.R_grid_object[rows[own]][:, None] @ turns
+        return (valid - R[own][:, None]).square().sum(dim=(2, 3)).amin(dim=1)
+
+    return _of_each(batch, rows, smallest, R)
+
+
+def _of_each(
+    batch: TrainingBatch, rows: Tensor, of_some: Callable[[Tensor, Tensor], Tensor], like: Tensor
+) -> Tensor:
+    """(M,) values of the objects `rows`, for all those with as many turns at once: of_some(own,
+    turns) gives those of rows[own], turns being (order, 3, 3)."""
+    orders = batch.symmetry_order[rows]
+    kinds = sorted(set(orders.tolist()))
+    groups = [torch.nonzero(orders == order)[:, 0] for order in kinds]
+    pairs = zip(kinds, groups, strict=True)
+    values = torch.cat([of_some(own, _turns(order, like)) for order, own in pairs])
+    return values[torch.argsort(torch.cat(groups))]

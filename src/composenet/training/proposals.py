@@ -81,10 +81,10 @@ def training_boxes(
     frames.append(sites[pick, 0])
     centers.append(sites[pick, 1:] * batch.volume.voxel_size_m + 0.2 * noise(len(pick), 3))
     extents.append(0.9 * torch.exp(0.5 * noise(len(pick), 3)))
-    for index, own_boxes in enumerate(proposals):
-        frames.append(torch.full((len(own_boxes.center),), index, device=device))
-        centers.append(own_boxes.center)
-        extents.append(own_boxes.extents)
+    counts = torch.tensor([len(own.center) for own in proposals], dtype=torch.long)
+    frames.append(torch.repeat_interleave(torch.arange(len(proposals)), counts).to(device))
+    centers += [own.center for own in proposals]
+    extents += [own.extents for own in proposals]
     return TrainingBoxes.matched(
         batch, torch.cat(frames), torch.cat(centers), torch.cat(extents).clamp(*BOX_LIMITS_M)
     )
