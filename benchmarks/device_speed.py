@@ -25,7 +25,8 @@ from composenet.network.sparse import build_pyramid, submanifold_conv
 from composenet.network.weights import default_weights, weights_id
 from composenet.pipeline import load_tracker, select_device
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import write_split
+from composenet.synth.dataset import DEFAULT_OPTIONS, write_split
+from composenet.synth.scene import SceneOptions
 from composenet.timings import summarise_timings
 from composenet.training.config import TrainingConfig
 from composenet.training.data import SceneSource, samples_of_scene
@@ -135,10 +136,10 @@ def training_ms(
     return {name: round(value, 2) for name, value in found.items()}
 
 
-def tracking_ms(device: torch.device) -> dict[str, float]:
-    """Medians by stage over one validation sequence, 320 x 240 pixels."""
+def tracking_ms(device: torch.device, frames: int) -> dict[str, float]:
+    """Medians by stage over one validation sequence, 320 x 240 pixels, but for its first frames."""
     with tempfile.TemporaryDirectory() as folder:
-        write_split("val", 1, Path(folder))
+        write_split("val", 1, Path(folder), options=SceneOptions(frames=frames))
         tracker = load_tracker(device=str(device))
         times = [tracker(frame).timings_ms for frame in open_sequence(Path(folder) / "val_00000")]
     return {t.stage: round(t.median_ms, 2) for t in summarise_timings(times[3:])}
@@ -151,10 +152,11 @@ def main(
     workers: int = 1,
     threads: int | None = None,
     training: tuple[Parts, ...] = ("detector", "objects", "apart"),
+    frames: int = DEFAULT_OPTIONS.frames,
     out: Path | None = None,
 ) -> None:
     """Milliseconds on one device (auto, cpu, cuda or cuda:N). workers: processes that make the
-    samples beforehand. training: which parts learn."""
+    samples beforehand. training: which parts learn. frames: of the sequence that is tracked."""
     chosen = select_device(device)
     if threads:
         torch.set_num_threads(threads)
@@ -167,11 +169,12 @@ def main(
 
     note("distance_field_ms", round(field_ms(chosen), 3))
     note("convolution_ms", {k: round(v, 3) for k, v in convolution_ms(chosen).items()})
-    note("tracking_ms", tracking_ms(chosen))
+    note("tracking_ms", tracking_ms(chosen, frames))
     note("training_ms", {parts: training_ms(parts, made, chosen) for parts in training})
     if out is not None:
         command = f"python benchmarks/device_speed.py --device {device}"
-        command += f" --batch-frames {batch_frames} --training {' '.join(training)}"
+        command += f" --batch-frames {batch_frames} --batches {batches}"
+        command += f" --training {' '.join(training)}"
         info = asdict(
             RunInfo("val_00000 and training scenes", SEED, command, weights_id(default_weights()))
         )

@@ -297,7 +297,7 @@ def test_an_unobservable_pose_is_replaced_by_the_first_observable():
 @pytest.mark.parametrize("absence", [[(frame(0), [])] * 10, [(HIDE, [])] * 40])
 def test_a_track_is_told_of_again_when_re_found(absence):
     """However far its confidence fell while it was away, but for a doubtful look."""
-    seen, doubtful = [(None, [thing(3, 0, score=score)]) for score in (0.75, 0.5)]
+    seen, doubtful = [(None, [thing(3, 0, score=score)]) for score in (0.8, 0.5)]
     config = replace(TrackingConfig(), end_after_visible_misses=100)
     _, outputs = run([seen, seen, seen, *absence, seen, seen], config)
     assert outputs[-3][0].confidence < 0.4

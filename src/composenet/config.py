@@ -101,9 +101,9 @@ class TrackingConfig:
     """a weaker proposal is left out of tracking"""
     min_birth_score: Share = 0.5
     """a weaker proposal may continue a track but starts none"""
-    min_confidence: Share = 0.65
+    min_confidence: Share = 0.7
     """a track is told of from the frame on in which its confidence reaches this"""
-    keep_confidence: Share = 0.65
+    keep_confidence: Share = 0.7
     """until it is seen with less confidence than this"""
     duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped; one
