@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ from composenet.sequences import open_sequence
 from composenet.synth.dataset import DEFAULT_OPTIONS, write_split
 from composenet.synth.scene import SceneOptions
 from composenet.timings import summarise_timings
-from composenet.training.config import TrainingConfig
+from composenet.training.config import Parts, TrainingConfig
 from composenet.training.data import SceneSource, samples_of_scene
 from composenet.training.loop import RunOptions, Trainer
 from composenet.training.processes import Group
@@ -37,7 +37,6 @@ from composenet.volume.tsdf import dense_tsdf
 
 SEED = 1
 REPEATS = 20
-Parts = Literal["all", "apart", "detector", "boxes", "objects"]
 
 
 def milliseconds(work: Callable[[], object], device: torch.device, repeats: int = REPEATS) -> float:

@@ -12,7 +12,6 @@ import time
 from collections import defaultdict
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
 
 import torch
 import tyro
@@ -20,7 +19,7 @@ import tyro
 from composenet.metrics.report import RunInfo
 from composenet.network.weights import default_weights, weights_id
 from composenet.process import keep_freed_memory
-from composenet.training.config import TrainingConfig
+from composenet.training.config import Parts, TrainingConfig
 from composenet.training.data import POOL_FRAMES, SceneSource, SceneStream
 from composenet.training.loop import RunOptions, Trainer
 from composenet.training.processes import Group
@@ -45,7 +44,7 @@ class Clock:
 
 
 def main(
-    parts: Literal["all", "detector", "boxes", "objects"] = "detector",
+    parts: Parts = "detector",
     scenes: int = 12,
     out: Path | None = None,
 ) -> None:

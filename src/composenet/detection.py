@@ -181,6 +181,12 @@ def _by_frame(
     return tuple(ranked[a : min(b, a + (most or b))] for a, b in pairwise(firsts))
 
 
+def frames_of(proposals: Sequence[Proposals]) -> Tensor:
+    """(M,) int64 frame of each of the proposals of all frames, one after the other; on the CPU."""
+    counts = torch.tensor([len(own.center) for own in proposals], dtype=torch.long)
+    return torch.repeat_interleave(torch.arange(len(proposals)), counts)
+
+
 def remembered(
     boxes: Sequence[Box], volume: Volume, like: Proposals, config: DetectionConfig
 ) -> Proposals:
@@ -217,8 +223,7 @@ def second_look(
     two boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
     classes: solid furniture cannot share that much space.
     """
-    counts = torch.tensor([len(p.center) for p in proposals])
-    frame = torch.repeat_interleave(torch.arange(len(proposals)), counts).to(batch.coords.device)
+    frame = frames_of(proposals).to(batch.coords.device)
     every = Proposals(
         *(torch.cat(v) for v in zip(*(vars(p).values() for p in proposals), strict=True))
     )

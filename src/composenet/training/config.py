@@ -13,6 +13,9 @@ from composenet.config import Config, Count, Positive, Share, load
 
 _STRICT = ConfigDict(extra="forbid")
 
+Parts = Literal["all", "apart", "detector", "boxes", "objects"]
+"""What of the network a run trains (`TrainingConfig.parts`)."""
+
 
 @dataclass(frozen=True, config=_STRICT)
 class LossWeights:
@@ -52,7 +55,7 @@ class TrainingConfig:
     """in Adam's gradient; the paper's 1e-5 silenced a third of the channels (`training.silent`)"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35
-    parts: Literal["all", "apart", "detector", "boxes", "objects"] = "all"
+    parts: Parts = "all"
     """what learns; `apart` is all of it, but the voxel features learn nothing from the object
     network; the detector alone costs a fifth of a whole step on a CPU, and the second look at boxes
     alone, or the object network alone, sees voxel features that are held fixed"""

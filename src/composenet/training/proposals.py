@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from composenet.detection import BOX_LIMITS_M, Proposals
+from composenet.detection import BOX_LIMITS_M, Proposals, frames_of
 from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import CropBatch
 from composenet.training.targets import TrainingBatch
@@ -81,8 +81,7 @@ def training_boxes(
     frames.append(sites[pick, 0])
     centers.append(sites[pick, 1:] * batch.volume.voxel_size_m + 0.2 * noise(len(pick), 3))
     extents.append(0.9 * torch.exp(0.5 * noise(len(pick), 3)))
-    counts = torch.tensor([len(own.center) for own in proposals], dtype=torch.long)
-    frames.append(torch.repeat_interleave(torch.arange(len(proposals)), counts).to(device))
+    frames.append(frames_of(proposals).to(device))
     centers += [own.center for own in proposals]
     extents += [own.extents for own in proposals]
     return TrainingBoxes.matched(
