@@ -1,0 +1,175 @@
+"""Who keeps an object's identity when it leaves the view and comes back, moved or not.
+
+python benchmarks/returns.py SCORES --data DATA [--numbers benchmarks/results/returns.json]
+    [--image docs/images/returns.jpg] [--one full] [--other no-corr]
+
+SCORES is the --out folder of `composenet eval` or `composenet bench` over DATA: every row of its
+results.json is measured. The image shows objects that moved while away: as they were last seen and
+as they come back, with the identities that two of the rows give them. Open only folders that you
+trust: what SCORES keeps of each sequence is a pickle.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from figures import read_scores
+from PIL import Image, ImageDraw
+
+from composenet.commands.failures import WIDTH
+from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
+from composenet.geometry.box import OrientedBox
+from composenet.geometry.camera import resize_camera
+from composenet.metrics.records import MATCH_GATE_M
+from composenet.metrics.returns import Outcome, Return, returns
+from composenet.records import CLASS_NAMES
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import read_truth
+from composenet.view.figures import ColoredBox, base_image, draw_boxes, track_color
+
+MOVED_M = MATCH_GATE_M
+"""An object that comes back farther than this from where it left has moved."""
+PICTURES = 3
+CAPTION_PX = 16
+
+
+@dataclass(frozen=True)
+class Case:
+    """A return as two rows had it."""
+
+    folder: Path
+    one: Return
+    other: Return
+
+
+def main(
+    scores: Annotated[Path, tyro.conf.Positional],
+    data: Path,
+    numbers: Path = Path("benchmarks/results/returns.json"),
+    image: Path = Path("docs/images/returns.jpg"),
+    one: str = "full",
+    other: str = "no-corr",
+) -> None:
+    """Print and write the numbers; draw the picture."""
+    folders = sequence_folders(data)
+    run, _ = read_scores(scores, folders, one)
+    kept = {name: read_scores(scores, folders, name)[1] for name in run["variants"]}
+    found = {
+        name: {f: returns_of(f, item) for f, item in row.items()} for name, row in kept.items()
+    }
+    table = {name: summary([r for own in row.values() for r in own]) for name, row in found.items()}
+    for name, row in table.items():
+        print(f"{name}: at rest {row['at_rest']}; moved {row['moved']}")
+    cases = chosen(found.get(one, {}), found.get(other, {}))
+    if cases:
+        sheet(cases, {one: kept[one], other: kept[other]}).save(image, quality=85)
+    result = {
+        **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
+        "command": f"python benchmarks/returns.py {scores} --data {data}",
+        "sequences": len(folders),
+        "moved_m": MOVED_M,
+        "rows": table,
+    }
+    numbers.write_text(json.dumps(result, indent=2) + "\n")
+    print(f"wrote {numbers}" + (f" and {image}" if cases else ""))
+
+
+def returns_of(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:
+    """The returns of one sequence."""
+    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
+    return returns(truth, item.tracked)
+
+
+def summary(found: Sequence[Return]) -> dict[str, Any]:
+    """How many returns of objects at rest, and of those that moved, by outcome; kept_share: of
+    those with a track before and after, null without any."""
+
+    def counted(part: list[Return]) -> dict[str, Any]:
+        counts = Counter(item.outcome for item in part)
+        known = counts[Outcome.KEPT] + counts[Outcome.CHANGED]
+        share = round(counts[Outcome.KEPT] / known, 3) if known else None
+        return {outcome.value: counts[outcome] for outcome in Outcome} | {"kept_share": share}
+
+    return {
+        "at_rest": counted([item for item in found if item.moved_m <= MOVED_M]),
+        "moved": counted([item for item in found if item.moved_m > MOVED_M]),
+    }
+
+
+def chosen(
+    ones: dict[Path, tuple[Return, ...]], others: dict[Path, tuple[Return, ...]]
+) -> list[Case]:
+    """Objects that moved and whose identity the one keeps and the other does not, the farthest
+    moved of each of the first sequences."""
+    cases: dict[Path, Case] = {}
+    for folder, own in ones.items():
+        for a, b in zip(own, others.get(folder, ()), strict=True):
+            better = a.outcome is Outcome.KEPT and b.outcome is Outcome.CHANGED
+            farthest = cases[folder].one.moved_m if folder in cases else MOVED_M
+            if better and a.moved_m > farthest:
+                cases[folder] = Case(folder, a, b)
+    return list(cases.values())[:PICTURES]
+
+
+def sheet(cases: Sequence[Case], rows: dict[str, dict[Path, ScoredSequence]]) -> Image.Image:
+    """A row for each case: the object as it was last seen, then as it comes back by either."""
+    lines = []
+    for case in cases:
+        (name, own), (other_name, others) = rows.items()
+        one, other = own[case.folder], others[case.folder]
+        assert case.one.before and case.one.after and case.other.after
+        left = _when(one, case.one.before, range(case.one.left, -1, -1))
+        back = _when(one, case.one.after, range(case.one.back, len(one.tracked)))
+        later = _when(other, case.other.after, range(case.other.back, len(other.tracked)))
+        lines.append(
+            [
+                _tile(case.folder, one, left, case.one.before, f"{case.folder.name} frame {left}"),
+                _tile(case.folder, one, back, case.one.after, f"{name}: frame {back}"),
+                _tile(case.folder, other, later, case.other.after, f"{other_name}: frame {later}"),
+            ]
+        )
+    width, height = lines[0][0].size
+    out = Image.new("RGB", (3 * width, len(lines) * height), "white")
+    for y, line in enumerate(lines):
+        for x, tile in enumerate(line):
+            out.paste(tile, (x * width, y * height))
+    return out
+
+
+def _when(scored: ScoredSequence, track_id: int, places: range) -> int:
+    """The first of these frames in which the track sees its object."""
+    return next(
+        i for i in places for e in scored.tracked[i] if e.track_id == track_id and e.observed
+    )
+
+
+def _tile(
+    folder: Path, scored: ScoredSequence, place: int, track_id: int, caption: str
+) -> Image.Image:
+    """A frame with the boxes of what is seen; that of one track thick and with its name."""
+    frame = next(frame for frame in open_sequence(folder) if frame.index == place)
+    height = round(WIDTH * frame.camera.height / frame.camera.width)
+    image = Image.fromarray(base_image(frame)).resize((WIDTH, height), Image.Resampling.BICUBIC)
+    boxes = []
+    for entry in scored.tracked[place]:
+        S, name = entry.S_world_canonical, f"{CLASS_NAMES[entry.class_id]} {entry.track_id}"
+        red, green, blue = track_color(entry.track_id).tolist()
+        label = name if entry.track_id == track_id else ""
+        if entry.observed:
+            box = OrientedBox(S.t, S.R, entry.extents_m)
+            boxes.append(ColoredBox(box, (red, green, blue), label))
+    draw_boxes(image, resize_camera(frame.camera, WIDTH, height), frame.T_world_camera, boxes)
+    tile = Image.new("RGB", (WIDTH, height + CAPTION_PX), "white")
+    tile.paste(image, (0, CAPTION_PX))
+    ImageDraw.Draw(tile).text((3, 2), caption, fill="black")
+    return tile
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
