@@ -1,4 +1,5 @@
-"""Who keeps an object's identity when it leaves the view and comes back, moved or not.
+"""Who keeps an object's identity when it leaves the view and comes back, moved or not, and how MOTA
+goes with time.
 
 python benchmarks/returns.py SCORES --data DATA [--numbers benchmarks/results/returns.json]
     [--image docs/images/returns.jpg] [--one full] [--other no-corr]
@@ -26,6 +27,7 @@ from composenet.commands.failures import WIDTH
 from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import resize_camera
+from composenet.metrics.evaluate import posed_truths
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
 from composenet.records import CLASS_NAMES
@@ -35,6 +37,8 @@ from composenet.view.figures import ColoredBox, base_image, draw_boxes, track_co
 
 MOVED_M = MATCH_GATE_M
 """An object that comes back farther than this from where it left has moved."""
+PARTS = 5
+"""MOTA is also told of as many equal parts of the sequences, one after the other."""
 PICTURES = 3
 CAPTION_PX = 16
 
@@ -65,7 +69,8 @@ def main(
     }
     table = {name: summary([r for own in row.values() for r in own]) for name, row in found.items()}
     for name, row in table.items():
-        print(f"{name}: at rest {row['at_rest']}; moved {row['moved']}")
+        row["mota_by_part"] = mota_by_part(kept[name])
+        print(f"{name}: {row}")
     cases = chosen(found.get(one, {}), found.get(other, {}))
     if cases:
         sheet(cases, {one: kept[one], other: kept[other]}).save(image, quality=85)
@@ -100,6 +105,21 @@ def summary(found: Sequence[Return]) -> dict[str, Any]:
         "at_rest": counted([item for item in found if item.moved_m <= MOVED_M]),
         "moved": counted([item for item in found if item.moved_m > MOVED_M]),
     }
+
+
+def mota_by_part(scored: dict[Path, ScoredSequence]) -> list[float | None]:
+    """MOTA, percent, pooled over the first, second, ... part of all sequences; null where no object
+    counts."""
+    errors, objects = [0] * PARTS, [0] * PARTS
+    for folder, item in scored.items():
+        present = posed_truths(read_truth(folder))
+        for index, (things, wrong) in enumerate(zip(present, item.errors, strict=True)):
+            part = PARTS * index // len(present)
+            errors[part] += wrong.count
+            objects[part] += sum(not thing.ignored for thing in things)
+    return [
+        round(100 * (1 - e / n), 2) if n else None for e, n in zip(errors, objects, strict=True)
+    ]
 
 
 def chosen(

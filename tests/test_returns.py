@@ -172,6 +172,9 @@ def test_numbers_and_picture(
     benchmark.main(scores, recordings, numbers, image)
     data = json.loads(numbers.read_text())
     assert set(data["rows"]) == set(rows) and data["sequences"] == 2
+    assert data["rows"]["full"]["mota_by_part"] == [100] * 5  # what does not count is ignored
+    parts = data["rows"]["no-corr"]["mota_by_part"]  # other names from frame 3 of 6 on
+    assert parts[2] < 100 and parts[:2] + parts[3:] == [100] * 4
     assert not image.exists()  # in six frames nobody goes and comes back
 
     def left(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:
