@@ -161,13 +161,23 @@ def sheet(
             failure = Failure(difference.folder, difference.frame, item.errors[difference.frame])
             image = picture(failure, item)
             assert image is not None
-            tile = Image.new("RGB", (image.width, image.height + CAPTION_PX), "white")
-            tile.paste(image, (0, CAPTION_PX))
-            ImageDraw.Draw(tile).text((3, 2), f"{name}: {failure.caption}", fill="black")
-            row.append(tile)
+            row.append(captioned(image, f"{name}: {failure.caption}"))
         rows.append(row)
+    return pasted(rows)
+
+
+def captioned(image: Image.Image, caption: str) -> Image.Image:
+    """The image with a line of text above it."""
+    tile = Image.new("RGB", (image.width, image.height + CAPTION_PX), "white")
+    tile.paste(image, (0, CAPTION_PX))
+    ImageDraw.Draw(tile).text((3, 2), caption, fill="black")
+    return tile
+
+
+def pasted(rows: list[list[Image.Image]]) -> Image.Image:
+    """Rows of equally many tiles of one size as one image."""
     width, height = rows[0][0].size
-    out = Image.new("RGB", (len(runs) * width, len(rows) * height), "white")
+    out = Image.new("RGB", (len(rows[0]) * width, len(rows) * height), "white")
     for y, row in enumerate(rows):
         for x, tile in enumerate(row):
             out.paste(tile, (x * width, y * height))

@@ -21,26 +21,25 @@ from typing import Annotated, Any
 
 import tyro
 from figures import read_scores
-from PIL import Image, ImageDraw
+from gains import captioned, pasted
+from PIL import Image
 
-from composenet.commands.failures import WIDTH
+from composenet.commands.failures import frame_with_boxes
 from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
 from composenet.geometry.box import OrientedBox
-from composenet.geometry.camera import resize_camera
 from composenet.metrics.evaluate import posed_truths
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
 from composenet.records import CLASS_NAMES
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
-from composenet.view.figures import ColoredBox, base_image, draw_boxes, track_color
+from composenet.view.figures import ColoredBox, track_color
 
 MOVED_M = MATCH_GATE_M
 """An object that comes back farther than this from where it left has moved."""
 PARTS = 5
 """MOTA is also told of as many equal parts of the sequences, one after the other."""
 PICTURES = 3
-CAPTION_PX = 16
 
 
 @dataclass(frozen=True)
@@ -62,16 +61,18 @@ def main(
 ) -> None:
     """Print and write the numbers; draw the picture."""
     folders = sequence_folders(data)
-    run, _ = read_scores(scores, folders, one)
-    kept = {name: read_scores(scores, folders, name)[1] for name in run["variants"]}
+    run, first = read_scores(scores, folders, one)
+    kept = {one: first, other: read_scores(scores, folders, other)[1]}
+    for name in run["variants"].keys() - kept.keys():
+        kept[name] = read_scores(scores, folders, name)[1]
     found = {
         name: {f: returns_of(f, item) for f, item in row.items()} for name, row in kept.items()
     }
     table = {name: summary([r for own in row.values() for r in own]) for name, row in found.items()}
-    for name, row in table.items():
+    for name, row in sorted(table.items()):
         row["mota_by_part"] = mota_by_part(kept[name])
         print(f"{name}: {row}")
-    cases = chosen(found.get(one, {}), found.get(other, {}))
+    cases = chosen(found[one], found[other])
     if cases:
         sheet(cases, {one: kept[one], other: kept[other]}).save(image, quality=85)
     result = {
@@ -129,7 +130,7 @@ def chosen(
     moved of each of the first sequences."""
     cases: dict[Path, Case] = {}
     for folder, own in ones.items():
-        for a, b in zip(own, others.get(folder, ()), strict=True):
+        for a, b in zip(own, others[folder], strict=True):
             better = a.outcome is Outcome.KEPT and b.outcome is Outcome.CHANGED
             farthest = cases[folder].one.moved_m if folder in cases else MOVED_M
             if better and a.moved_m > farthest:
@@ -154,12 +155,7 @@ def sheet(cases: Sequence[Case], rows: dict[str, dict[Path, ScoredSequence]]) ->
                 _tile(case.folder, other, later, case.other.after, f"{other_name}: frame {later}"),
             ]
         )
-    width, height = lines[0][0].size
-    out = Image.new("RGB", (3 * width, len(lines) * height), "white")
-    for y, line in enumerate(lines):
-        for x, tile in enumerate(line):
-            out.paste(tile, (x * width, y * height))
-    return out
+    return pasted(lines)
 
 
 def _when(scored: ScoredSequence, track_id: int, places: range) -> int:
@@ -174,8 +170,6 @@ def _tile(
 ) -> Image.Image:
     """A frame with the boxes of what is seen; that of one track thick and with its name."""
     frame = next(frame for frame in open_sequence(folder) if frame.index == place)
-    height = round(WIDTH * frame.camera.height / frame.camera.width)
-    image = Image.fromarray(base_image(frame)).resize((WIDTH, height), Image.Resampling.BICUBIC)
     boxes = []
     for entry in scored.tracked[place]:
         S, name = entry.S_world_canonical, f"{CLASS_NAMES[entry.class_id]} {entry.track_id}"
@@ -184,11 +178,7 @@ def _tile(
         if entry.observed:
             box = OrientedBox(S.t, S.R, entry.extents_m)
             boxes.append(ColoredBox(box, (red, green, blue), label))
-    draw_boxes(image, resize_camera(frame.camera, WIDTH, height), frame.T_world_camera, boxes)
-    tile = Image.new("RGB", (WIDTH, height + CAPTION_PX), "white")
-    tile.paste(image, (0, CAPTION_PX))
-    ImageDraw.Draw(tile).text((3, 2), caption, fill="black")
-    return tile
+    return captioned(frame_with_boxes(frame, boxes), caption)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import gains
 import numpy as np
 import pytest
 import returns as benchmark
@@ -187,7 +188,9 @@ def test_numbers_and_picture(
     rows_now = json.loads(numbers.read_text())["rows"]
     assert rows_now["full"]["moved"]["kept"] == rows_now["no-corr"]["moved"]["changed"] == 2
     with Image.open(image) as picture:  # two cases: last seen, back by the one, by the other
-        assert picture.size == (3 * 480, 2 * (360 + benchmark.CAPTION_PX))
+        assert picture.size == (3 * 480, 2 * (360 + gains.CAPTION_PX))
         assert len(np.unique(np.asarray(picture))) > 20
+    with pytest.raises(DataError, match="no results of no-compl"):  # a row that was not scored
+        benchmark.main(scores, recordings, numbers, image, other="no-compl")
     with pytest.raises(DataError, match=r"results\.json"):
         benchmark.main(tmp_path, recordings, numbers, image)

@@ -14,7 +14,7 @@ from composenet.geometry.camera import resize_camera
 from composenet.metrics.clear import FrameErrors
 from composenet.metrics.evaluate import SEEN_STATES, posed_truths
 from composenet.metrics.objects import PosedTruth
-from composenet.records import CLASS_NAMES, TrackedObject
+from composenet.records import CLASS_NAMES, Frame, TrackedObject
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 from composenet.view.figures import ColoredBox, base_image, draw_boxes
@@ -76,6 +76,11 @@ def picture(failure: Failure, scored: ScoredSequence) -> Image.Image | None:
         *_true_boxes(posed_truths(truth)[failure.frame], failure.errors),
         *_tracked_boxes(scored.tracked[failure.frame], failure.errors),
     ]
+    return frame_with_boxes(frame, boxes)
+
+
+def frame_with_boxes(frame: Frame, boxes: Sequence[ColoredBox]) -> Image.Image:
+    """The frame's image, WIDTH pixels wide, with the boxes drawn in."""
     height = round(WIDTH * frame.camera.height / frame.camera.width)
     camera = resize_camera(frame.camera, WIDTH, height)
     image = Image.fromarray(base_image(frame)).resize((WIDTH, height), Image.Resampling.BICUBIC)
