@@ -25,7 +25,7 @@ from composenet.network.batch import VolumeBatch
 from composenet.network.box_head import BoxFields
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
-from composenet.records import Box
+from composenet.records import CLASS_NAMES, Box
 from composenet.volume.memory import FreeSpace
 from composenet.volume.voxels import Volume
 from conftest import TINY
@@ -319,6 +319,29 @@ def test_one_box_a_place_whatever_the_classes(class_id: int, gap: float, kept: i
         [[Seen(-2, 0.7, 0.7, 4, move=2), Seen(gap + 3, 0.9, 0.9, class_id, -3)]], HALF
     )
     np.testing.assert_allclose(found.center[:, 0], [gap, 0][:kept], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "gap", "kept"),
+    # IoU of unit cubes that far apart: 0.333, 0.481, 0.538
+    [
+        ("chair", "table", 0.5, 2),
+        ("chair", "desk", 0.35, 2),
+        ("table", "chair", 0.35, 2),
+        ("chair", "table", 0.3, 1),
+        ("chair", "chair", 0.5, 1),
+        ("table", "desk", 0.5, 1),
+        ("chair", "sofa", 0.5, 1),
+    ],
+)
+def test_chairs_stand_under_tables(one: str, other: str, gap: float, kept: int) -> None:
+    """Nothing else shares so much of its box."""
+    weak = Seen(0, 0.7, 0.7, CLASS_NAMES.index(one))
+    strong = Seen(gap, 0.9, 0.9, CLASS_NAMES.index(other))
+    (found,) = looked([[weak, strong]], DetectionConfig(min_score=0.0, duplicate_iou=0.25))
+    np.testing.assert_allclose(found.center[:, 0], [gap, 0][:kept])
+    (found,) = looked([[weak, strong]], DetectionConfig(min_score=0.0, duplicate_iou=1.0))
+    assert len(found.center) == 2  # as the paper's recipe asks for
 
 
 def test_what_was_dropped_drops_nothing() -> None:

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from composenet.tracking.affinity import (
     canonical_iou,
     center_distance_m,
-    occupancy_bits,
+    coarse,
     same_class,
 )
 from composenet.tracking.assignment import assign
@@ -21,24 +21,30 @@ from composenet.tracking.canonical import CanonicalModel, running_mean
 from tracking_scenes import block, thing
 
 
-def test_packed_canonical_iou_equals_the_plain_one():
+def test_canonical_iou_equals_the_plain_one():
     rng = np.random.default_rng(0)
-    grids = [rng.random((64, 64, 64), dtype=np.float32) ** power for power in (0.5, 1, 2)]
-    bits = [occupancy_bits(grid) for grid in grids]
-    plain = [
-        [np.sum((a >= 0.5) & (b >= 0.5)) / np.sum((a >= 0.5) | (b >= 0.5)) for b in grids]
-        for a in grids
-    ]
-    np.testing.assert_allclose(canonical_iou(bits, bits), plain, rtol=1e-12)
+    grids = [coarse(rng.random((64, 64, 64), dtype=np.float32) ** p) for p in (0.5, 1, 2, 9)]
+    plain = [[np.minimum(a, b).sum() / np.maximum(a, b).sum() for b in grids] for a in grids]
+    np.testing.assert_allclose(canonical_iou(grids, grids), plain, rtol=1e-5)
 
 
-def test_canonical_iou_of_halves_is_a_half_and_of_nothing_zero():
+def test_canonical_iou_of_solids_is_that_of_their_volumes():
     whole, half = np.ones((64, 64, 64), np.float32), np.zeros((64, 64, 64), np.float32)
-    half[:32] = 0.5
-    nothing = np.full((64, 64, 64), 0.49, np.float32)
-    bits = [occupancy_bits(grid) for grid in (whole, half, nothing)]
+    half[:32] = 1
+    nothing = np.zeros((64, 64, 64), np.float32)
+    shapes = [coarse(grid) for grid in (whole, half, nothing)]
     expected = [[1, 0.5, 0], [0.5, 1, 0], [0, 0, 0]]
-    np.testing.assert_array_equal(canonical_iou(bits, bits), expected)
+    np.testing.assert_array_equal(canonical_iou(shapes, shapes), expected)
+    unsure = [coarse(0.5 * half)]
+    np.testing.assert_allclose(canonical_iou(unsure, shapes), [[0.25, 0.5, 0]])
+
+
+def test_coarse_cells_hold_what_their_parts_hold():
+    fine = np.zeros((64, 64, 64), np.float32)
+    fine[5, 8, 63] = 0.7
+    expected = np.zeros((32, 32, 32), np.float32)
+    expected[2, 4, 31] = 0.7
+    np.testing.assert_array_equal(coarse(fine), expected)
 
 
 def test_empty_sides_have_empty_scores():
@@ -88,8 +94,7 @@ def test_running_mean_is_four_to_one():
     for _ in range(3):
         model = model.updated(new, 4.0)
     np.testing.assert_allclose(model.mean, 1 - 0.8**3, rtol=1e-5)
-    assert not model.bits.any()
-    assert model.updated(new, 4.0).bits.any()
+    np.testing.assert_array_equal(model.coarse, coarse(model.mean))
 
 
 @given(st.floats(0.5, 8), st.floats(0, 1), st.floats(0, 1))

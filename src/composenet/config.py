@@ -112,7 +112,7 @@ class TrackingConfig:
     """the canonical pass matches nothing that would have moved faster than this"""
     reach_slack_m: Positive = 0.3
     """added to that way: noise of the centres"""
-    max_reach_m: Positive = 1.2
+    max_reach_m: Positive = 2.0
     """no canonical match is farther from the last place, however long ago it was"""
     still_share: Share = 0.04
     """a centre that moves by less than this share of its box's horizontal diagonal stands still,
@@ -125,7 +125,7 @@ class TrackingConfig:
     """factor on the confidence for each frame that a track is occluded"""
     lost_decay: Share = 0.9
     """factor on the confidence for each frame that a track is lost"""
-    end_after_frames: Count = 90
+    end_after_frames: Count = 900
     """a track unseen for this many frames has ended"""
     end_after_visible_misses: Count = 30
     """a track unseen for this many frames in which it should have been visible has ended"""

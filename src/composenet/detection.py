@@ -18,11 +18,13 @@ from composenet.network.batch import VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
 from composenet.network.sparse import unique_rows
-from composenet.records import Box
+from composenet.records import CLASS_NAMES, Box
 from composenet.volume.voxels import Volume
 
 BOX_LIMITS_M = (0.15, 5.0)
 """Boxes are taken to be no smaller and no larger than furniture."""
+UNDER_TABLE_IOU = 0.5
+"""A chair pushed under a table or desk shares up to so much of the bounding box with it."""
 ALIKE_IOU = 0.9
 """Of proposals that overlap more than this only the first is looked at."""
 MIN_SEEN_VOXELS = 5
@@ -221,7 +223,8 @@ def second_look(
 
     Of proposals nearly alike (`ALIKE_IOU`) the first is looked at. score becomes the quality; of
     two boxes that overlap by more than config.duplicate_iou the weaker is dropped, whatever their
-    classes: solid furniture cannot share that much space.
+    classes: solid furniture cannot share that much space. But chairs stand under tables
+    (`UNDER_TABLE_IOU`).
     """
     frame = frames_of(proposals).to(batch.coords.device)
     every = Proposals(
@@ -236,13 +239,23 @@ def second_look(
     good = good[torch.argsort(score[good], descending=True, stable=True)]
     classes = boxes.class_logits.softmax(dim=1)
     looked = Proposals(boxes.center, boxes.extents, classes, score, every.voxels)[good]
-    kept = _no_two_over(looked, frame[good], config.duplicate_iou)
+    kept = _no_two_over(looked, frame[good], _shared_at_most(looked, config))
     return _by_frame(looked[kept], frame[good][kept], batch.size)
 
 
-def _no_two_over(proposals: Proposals, frame: Tensor, iou: float) -> Tensor:
+def _shared_at_most(proposals: Proposals, config: DetectionConfig) -> Tensor:
+    """(M, M) the largest IoU of which two proposals may be two objects."""
+    likeliest = proposals.class_probabilities.argmax(dim=1)
+    chair = likeliest == CLASS_NAMES.index("chair")
+    table = (likeliest == CLASS_NAMES.index("table")) | (likeliest == CLASS_NAMES.index("desk"))
+    beneath = chair[:, None] & table
+    limit = proposals.score.new_full(beneath.shape, config.duplicate_iou)
+    return limit.masked_fill(beneath | beneath.T, max(config.duplicate_iou, UNDER_TABLE_IOU))
+
+
+def _no_two_over(proposals: Proposals, frame: Tensor, iou: Tensor | float) -> Tensor:
     """Rows, int64, of the proposals that overlap no earlier one of their frame, that is kept, by
-    more than this. frame: (M,) int64."""
+    more than this, for all pairs or each (M, M). frame: (M,) int64."""
     center, extents = proposals.center, proposals.extents
     overlap = pairwise_iou(center, extents, center, extents) > iou
     table = (overlap & (frame[:, None] == frame)).cpu().numpy()

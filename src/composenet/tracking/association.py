@@ -13,7 +13,7 @@ from composenet.records import Box, FloatArray, ObjectEstimate
 from composenet.tracking.affinity import (
     canonical_iou,
     center_distance_m,
-    occupancy_bits,
+    coarse,
     same_class,
 )
 from composenet.tracking.assignment import assign
@@ -108,7 +108,7 @@ def match_shapes(
     """
     boxes, other_boxes = [t.box for t in tracklets], [p.box for p in proposals]
     likeness = canonical_iou(
-        [t.model.bits for t in tracklets], [occupancy_bits(p.canonical) for p in proposals]
+        [t.model.coarse for t in tracklets], [coarse(p.canonical) for p in proposals]
     )
     alike = same_class([t.class_id for t in tracklets], [p.class_id for p in proposals])
     nearness = _nearness(

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.records import FloatArray
-from composenet.tracking.affinity import OCCUPIED, occupancy_bits
+from composenet.tracking.affinity import COARSE_CELLS, coarse
 
-SURFACE_CELLS = 32
-"""Cells a side of the coarser grid that surface points are taken from."""
+OCCUPIED = 0.5
+"""Coarse cells from this on are solid."""
 
 
 def running_mean(old: FloatArray, new: FloatArray, weight: float) -> NDArray[np.float32]:
@@ -32,19 +32,17 @@ class CanonicalModel:
         return CanonicalModel(running_mean(self.mean, reconstruction, weight))
 
     @cached_property
-    def bits(self) -> NDArray[np.uint64]:
-        """(4096,) the binarised mean, packed."""
-        return occupancy_bits(self.mean)
+    def coarse(self) -> NDArray[np.float32]:
+        """(32, 32, 32) the mean, coarser."""
+        return coarse(self.mean)
 
     @cached_property
     def surface(self) -> NDArray[np.float64]:
         """(P, 3) canonical coordinates of points on the surface, spaced 1/32; may be empty."""
-        step = self.mean.shape[0] // SURFACE_CELLS
-        blocks = (self.mean >= OCCUPIED).reshape((SURFACE_CELLS, step) * 3)
-        solid = blocks.any(axis=(1, 3, 5))
+        solid = self.coarse >= OCCUPIED
         padded = np.pad(solid, 1)
         inner = solid.copy()
         for axis in range(3):
             for shift in (-1, 1):
                 inner &= np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1]
-        return (np.argwhere(solid & ~inner) + 0.5) / SURFACE_CELLS - 0.5
+        return (np.argwhere(solid & ~inner) + 0.5) / COARSE_CELLS - 0.5

@@ -13,7 +13,7 @@ import numpy as np
 
 from composenet.config import TrackingConfig
 from composenet.records import FloatArray, Track, TrackedObject, TrackState
-from composenet.tracking.affinity import canonical_iou, occupancy_bits
+from composenet.tracking.affinity import canonical_iou, coarse
 from composenet.tracking.assignment import assign
 from composenet.tracking.association import reach_m
 
@@ -36,7 +36,7 @@ def link_offline(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track
     """Merge tracks that are one object, under the id of the earliest; by id.
 
     Tracks that are never seen in the same frame, of one class, are matched by canonical IoU
-    (binarised at 0.5, gated, optimal assignment; paper, Object Tracking); single unmatched
+    (gated, optimal assignment; paper, Object Tracking); single unmatched
     proposals are tracks of one frame here, so they join too. Unless it moves faster than
     furniture can (`association.reach_m`). Repeated until nothing matches. A merged track has
     an entry for every frame that `tracks` tell of, from its birth to its end, and the class of
@@ -96,8 +96,8 @@ def _merge_once(groups: list[_Group], config: TrackingConfig) -> list[_Group]:
     The assignment may chain groups; a link that no longer fits after stronger ones were
     made is left to the next round.
     """
-    bits = [occupancy_bits(group.canonical) for group in groups]
-    likeness = canonical_iou(bits, bits)
+    shapes = [coarse(group.canonical) for group in groups]
+    likeness = canonical_iou(shapes, shapes)
     fits = likeness >= config.canonical_iou_gate
     fits &= np.triu(np.ones_like(fits), k=1)
     for row, column in np.argwhere(fits):

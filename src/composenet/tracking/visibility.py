@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from composenet.geometry.camera import project
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Box, FloatArray, Frame, Similarity
-from composenet.tracking.canonical import SURFACE_CELLS
+from composenet.tracking.affinity import COARSE_CELLS
 
 NEAR_M = 0.05
 """Points nearer to the camera plane cannot be seen."""
@@ -56,7 +56,7 @@ def surface_in_world(
     S = S_world_canonical
     if len(surface_canonical):
         points = S.scale_m * surface_canonical @ np.asarray(S.R).T + S.t
-        return points, S.scale_m / SURFACE_CELLS
+        return points, S.scale_m / COARSE_CELLS
     steps = np.linspace(-0.5, 0.5, 12)
     cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     shell = cube[np.abs(cube).max(axis=1) == 0.5]
@@ -80,18 +80,20 @@ def visibility(
     if len(points) == 0:
         return Visibility(0.0, 0.0)
     pixels, z = project(points, camera), points[:, 2]
-    cell_px = max(1.0, CLOSED * camera.K[0, 0] * spacing_m / float(np.median(z)))
-    front = _front(pixels, z, cell_px)
-    columns, rows = np.rint(pixels[front]).T
-    z = z[front]
+    columns, rows = np.rint(pixels).T
     height, width = frame.depth_m.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     inside &= z <= max_depth_m
-    measured = frame.depth_m[rows[inside].astype(int), columns[inside].astype(int)]
-    ahead_m = measured - z[inside]
+    if not inside.any():
+        return Visibility(0.0, 0.0)
+    cell_px = max(1.0, CLOSED * camera.K[0, 0] * spacing_m / float(np.median(z)))
+    front = _front(pixels, z, cell_px)
+    total, inside = int(front.sum()) + behind_count, inside & front
+    columns, rows, z = columns[inside].astype(int), rows[inside].astype(int), z[inside]
+    measured = frame.depth_m[rows, columns]
+    ahead_m = measured - z
     agreeing = (measured > 0) & (np.abs(ahead_m) <= TOLERANCE_M)
     seen_through = (measured > 0) & (ahead_m > TOLERANCE_M)
-    total = len(z) + behind_count
     return Visibility(float(agreeing.sum()) / total, float(seen_through.sum()) / total)
 
 
