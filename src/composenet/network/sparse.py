@@ -147,8 +147,16 @@ class _GatherConv(torch.autograd.Function):
 
 
 def _gather(features: Tensor, table: Tensor) -> Tensor:
+    """(N, 27 C): the rows that the table names, side by side; zeros where there is none.
+
+    Copied in pieces of 16 bytes, each with an index of its own. Indexed by rows alone, CUDA gives
+    every row a block of threads, which costs six times as much for rows this short.
+    """
     padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
-    return padded[table].flatten(1)
+    if features.shape[1] * features.element_size() % 16 == 0:
+        padded = padded.view(torch.complex128)
+    pieces = torch.arange(padded.shape[1], device=table.device)
+    return padded[table[:, :, None], pieces].view(features.dtype).flatten(1)
 
 
 def submanifold_conv(features: Tensor, weight: Tensor, level: Level) -> Tensor:
