@@ -7,6 +7,7 @@ from composenet.network.sparse import (
     OFFSETS,
     Down,
     Up,
+    _gather,
     _GatherConv,
     build_pyramid,
     neighbor_table,
@@ -45,6 +46,20 @@ def test_neighbor_table_against_a_dictionary():
     for i, (b, x, y, z) in enumerate(coords.tolist()):
         for k, (dx, dy, dz) in enumerate(OFFSETS.tolist()):
             assert table[i, k].item() == rows.get((b, x + dx, y + dy, z + dz), len(coords))
+
+
+@pytest.mark.parametrize("channels", [4, 5])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gathered_rows_are_those_of_the_table(channels, dtype):
+    coords = random_sites()
+    table = build_pyramid(coords, 2, 1)[0].table
+    features = torch.randn(
+        len(coords), channels, dtype=dtype, generator=torch.Generator().manual_seed(3)
+    )
+    with_zeros = torch.cat([features, torch.zeros(1, channels, dtype=dtype)])
+    found = _gather(features, table)
+    assert found.is_contiguous()
+    assert torch.equal(found, with_zeros[table].flatten(1))
 
 
 @pytest.mark.parametrize("path", ["pairs", "gather"])

@@ -149,14 +149,16 @@ class _GatherConv(torch.autograd.Function):
 def _gather(features: Tensor, table: Tensor) -> Tensor:
     """(N, 27 C): the rows that the table names, side by side; zeros where there is none.
 
-    Copied in pieces of 16 bytes, each with an index of its own. Indexed by rows alone, CUDA gives
-    every row a block of threads, which costs six times as much for rows this short.
+    They are read 8 bytes past a multiple of 16: aligned rows are copied on CUDA by a block of
+    threads each, which takes eight times as long, for rows this short, as a thread for 8 bytes.
     """
-    padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
-    if features.shape[1] * features.element_size() % 16 == 0:
-        padded = padded.view(torch.complex128)
-    pieces = torch.arange(padded.shape[1], device=table.device)
-    return padded[table[:, :, None], pieces].view(features.dtype).flatten(1)
+    n, channels = features.shape
+    room = features.new_zeros((n + 1) * channels + 2)
+    padded = room[2:].view(n + 1, channels)
+    padded[:n] = features
+    if channels % 2 == 0 and features.dtype == torch.float32:
+        padded = padded.view(torch.complex64)
+    return padded[table].view(features.dtype).flatten(1)
 
 
 def submanifold_conv(features: Tensor, weight: Tensor, level: Level) -> Tensor:
