@@ -180,7 +180,7 @@ def test_reach_grows_while_unseen_up_to_its_limit():
     for gap, ids in ((1, [2]), (4, [1])):
         _, outputs = run([SEEN] + [(AWAY, [])] * gap + [(None, [thing(3, 1.1)])])
         assert ids_seen(outputs[-1]) == ids
-    for y, ids in ((1.9, [1]), (2.1, [2])):
+    for y, ids in ((1.1, [1]), (1.3, [2])):
         _, outputs = run([SEEN] + [(AWAY, [])] * 20 + [(None, [thing(3, y)])])
         assert ids_seen(outputs[-1]) == ids
 

@@ -112,7 +112,7 @@ class TrackingConfig:
     """the canonical pass matches nothing that would have moved faster than this"""
     reach_slack_m: Positive = 0.3
     """added to that way: noise of the centres"""
-    max_reach_m: Positive = 2.0
+    max_reach_m: Positive = 1.2
     """no canonical match is farther from the last place, however long ago it was"""
     still_share: Share = 0.04
     """a centre that moves by less than this share of its box's horizontal diagonal stands still,
