@@ -21,7 +21,7 @@ import tyro
 from torch.profiler import ProfilerActivity, profile
 
 from composenet.metrics.report import RunInfo
-from composenet.network.sparse import build_pyramid, submanifold_conv
+from composenet.network.sparse import build_pyramid, gather, submanifold_conv
 from composenet.network.weights import default_weights, weights_id
 from composenet.pipeline import load_tracker, select_device
 from composenet.sequences import open_sequence
@@ -61,12 +61,25 @@ def field_ms(device: torch.device) -> float:
     return milliseconds(lambda: dense_tsdf(depth, K, T, (96, 96, 48), 0.05, 0.15), device)
 
 
-def convolution_ms(device: torch.device) -> dict[str, float]:
-    """32 to 32 channels on 10,000 voxels of a wavy surface."""
-    steps = torch.arange(100)
+def wavy_surface(side: int, device: torch.device) -> torch.Tensor:
+    """(side^2, 4) voxels of one batch."""
+    steps = torch.arange(side)
     x, y = torch.meshgrid(steps, steps, indexing="ij")
     z = (10 + 6 * torch.sin(x / 9) * torch.cos(y / 7)).long()
-    coords = torch.stack([torch.zeros_like(x), x, y, z], dim=-1).view(-1, 4).to(device)
+    return torch.stack([torch.zeros_like(x), x, y, z], dim=-1).view(-1, 4).to(device)
+
+
+def gather_ms(device: torch.device, side: int = 600) -> float:
+    """What a convolution of 32 channels reads on a surface of side^2 voxels, as many as 40 frames
+    have."""
+    table = build_pyramid(wavy_surface(side, device), 1, 1)[0].table
+    features = torch.randn(len(table), 32, generator=torch.Generator().manual_seed(SEED)).to(device)
+    return milliseconds(lambda: gather(features, table), device)
+
+
+def convolution_ms(device: torch.device) -> dict[str, float]:
+    """32 to 32 channels on 10,000 voxels of a wavy surface."""
+    coords = wavy_surface(100, device)
     level = build_pyramid(coords, 1, 1)[0]
     g = torch.Generator().manual_seed(SEED)
     features, weight = (
@@ -168,6 +181,8 @@ def main(
 
     note("distance_field_ms", round(field_ms(chosen), 3))
     note("convolution_ms", {k: round(v, 3) for k, v in convolution_ms(chosen).items()})
+    if chosen.type == "cuda":  # on the CPU a convolution needs none
+        note("gather_ms", round(gather_ms(chosen), 3))
     note("tracking_ms", tracking_ms(chosen, frames))
     note("training_ms", {parts: training_ms(parts, made, chosen) for parts in training})
     if out is not None:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import device_speed
+import torch
 
 
 def test_the_speeds_of_a_cpu(tmp_path: Path) -> None:
@@ -20,3 +21,8 @@ def test_the_speeds_of_a_cpu(tmp_path: Path) -> None:
     step = found["training_ms"]["apart"]
     assert step["frames_per_second"] > 0
     assert abs(step["step"] * step["frames_per_second"] / 1e3 - 2) < 0.05
+
+
+def test_a_gather_takes_longer_on_more_voxels() -> None:
+    few, many = (device_speed.gather_ms(torch.device("cpu"), side) for side in (10, 100))
+    assert 0 < few < many

@@ -7,9 +7,9 @@ from composenet.network.sparse import (
     OFFSETS,
     Down,
     Up,
-    _gather,
     _GatherConv,
     build_pyramid,
+    gather,
     neighbor_table,
     submanifold_conv,
     unique_rows,
@@ -57,7 +57,7 @@ def test_gathered_rows_are_those_of_the_table(channels, dtype):
         len(coords), channels, dtype=dtype, generator=torch.Generator().manual_seed(3)
     )
     with_zeros = torch.cat([features, torch.zeros(1, channels, dtype=dtype)])
-    found = _gather(features, table)
+    found = gather(features, table)
     assert found.is_contiguous()
     assert torch.equal(found, with_zeros[table].flatten(1))
 

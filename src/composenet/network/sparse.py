@@ -134,19 +134,19 @@ class _GatherConv(torch.autograd.Function):
     def forward(ctx, features: Tensor, weight: Tensor, level: Level) -> Tensor:
         ctx.save_for_backward(features, weight)
         ctx.level = level
-        return _gather(features, level.table) @ weight.flatten(0, 1)
+        return gather(features, level.table) @ weight.flatten(0, 1)
 
     @staticmethod
     def backward(ctx, grad: Tensor):  # type: ignore[override]
         features, weight = ctx.saved_tensors
         grad = grad.to(weight.dtype)
         mirrored = weight.flip(0).transpose(1, 2).flatten(0, 1)
-        grad_features = _gather(grad, ctx.level.table) @ mirrored
-        grad_weight = _gather(features, ctx.level.table).T @ grad
+        grad_features = gather(grad, ctx.level.table) @ mirrored
+        grad_weight = gather(features, ctx.level.table).T @ grad
         return grad_features, grad_weight.view_as(weight), None
 
 
-def _gather(features: Tensor, table: Tensor) -> Tensor:
+def gather(features: Tensor, table: Tensor) -> Tensor:
     """(N, 27 C): the rows that the table names, side by side; zeros where there is none.
 
     They are read 8 bytes past a multiple of 16: aligned rows are copied on CUDA by a block of
