@@ -184,7 +184,7 @@ def test_crops_are_told_where_surface_is_remembered() -> None:
     batch = collate([volume, volume])
     cell = int(np.argmax(on_box(world(volume, slice(volume.n_seen, None)), BOX)))
     at = torch.from_numpy(volume.coords[volume.n_seen + cell] * 0.05).float()
-    crops = CropBatch.around(torch.tensor([1, 0]), at.expand(2, 3), torch.full((2, 3), 0.8), 1.0)
+    crops = CropBatch.around(torch.tensor([1, 0]), at.expand(2, 3), torch.full((2, 3), 0.75), 1.0)
     samples, surface = crop_inputs(batch, crops, 16, 0.15)
     points = (crops.points(16)[0] / 0.05).round().long()
     places = {tuple(row) for row in volume.coords[volume.n_seen :].tolist()}

@@ -12,8 +12,8 @@ from torch.nn import functional as F
 
 from composenet.config import Config
 from composenet.detection import Proposals
-from composenet.geometry.affine import apply_affine
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
+from composenet.geometry.resampling import resampled
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
@@ -85,8 +85,7 @@ def _complete(
     fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
     fit = _with_boxes(fit, proposals, volume)
     # linear interpolation would wear away a surface that is one cell thick
-    mode = "bilinear" if config.tracking.use_completion else "nearest"
-    canonical = _canonical(shown, crops, fit, mode)
+    canonical = _canonical(shown, crops, fit, nearest=not config.tracking.use_completion)
     return _Completed(proposals, crops, shown, score, fit, canonical)
 
 
@@ -117,14 +116,12 @@ def _with_boxes(fit: SimilarityFit, proposals: Proposals, volume: Volume) -> Sim
     )
 
 
-def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit, mode: str) -> Tensor:
+def _canonical(shown: Tensor, crops: CropBatch, fit: SimilarityFit, nearest: bool) -> Tensor:
     """(M, 64, 64, 64) occupancy resampled in canonical space through the fitted similarity."""
-    n = CANONICAL_CELLS
-    steps = (torch.arange(n, device=shown.device) + 0.5) / n - 0.5
-    cells = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(-1, 3)
-    points = apply_affine(fit.scale[:, None, None] * fit.R, fit.t, cells)
-    grid = (2 * crops.shares(points) - 1).flip(-1).view(-1, n, n, n, 3)
-    return F.grid_sample(shown[:, None], grid, mode, "zeros", align_corners=False)[:, 0]
+    to_share = crops.R_grid_crop.transpose(1, 2) / crops.size[:, :, None]
+    A = to_share @ (fit.scale[:, None, None] * fit.R)
+    b = 0.5 + (to_share @ (fit.t - crops.center)[:, :, None])[..., 0]
+    return resampled(shown, A, b, CANONICAL_CELLS, nearest)
 
 
 def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> ObjectEstimate:
