@@ -98,7 +98,7 @@ def _overall(runs: Mapping[str, Any]) -> list[str]:
     if not runs:
         return ["Nothing was measured with these weights yet."]
     rows = [
-        (f"{run['data']}, {variant}", *(_number(values[key]) for key in COLUMNS))
+        (f"{_data(run)}, {variant}", *(_number(values[key]) for key in COLUMNS))
         for run in runs.values()
         for variant, values in run["variants"].items()
     ]
@@ -110,13 +110,18 @@ def _overall(runs: Mapping[str, Any]) -> list[str]:
     return ["## Figures", _table(("data", *COLUMNS.values()), rows), "\n".join(origin)]
 
 
+def _data(run: Mapping[str, Any]) -> str:
+    estimated = "--camera estimated" in run["command"]
+    return f"{run['data']} without camera poses" if estimated else run["data"]
+
+
 def _by_class(runs: Mapping[str, Any]) -> list[str]:
     rows, worst = [], []
     for run in runs.values():
         values = run["variants"].get("full", {})
-        where = run["data"]
+        where = _data(run)
         for key, name in BY_CLASS.items():
-            if key in values:
+            if any(value is not None for value in values.get(key, {}).values()):
                 shown = (_number(values[key][c]) for c in CLASS_NAMES)
                 rows.append((f"{where}, {name}", *shown))
         motas = values.get("mota_per_class", {})

@@ -48,6 +48,18 @@ def test_only_figures_of_these_weights_are_shown(results: Path) -> None:
     assert "not shown here: old.json" in text and "Confidence" not in text
 
 
+def test_tracking_without_poses_is_told_apart(results: Path) -> None:
+    run = json.loads((results / "own.json").read_text())
+    nothing = dict.fromkeys(CLASS_NAMES)
+    run["command"] += " --camera estimated"
+    run["variants"]["full"] |= {"det_ap50_per_class": nothing}
+    (results / "estimated.json").write_text(json.dumps(run))
+    text = "\n".join(figures("w sha256:1", results))
+    assert "| tiny, full | 3 |" in text and "| tiny without camera poses, full | 3 |" in text
+    assert "| tiny without camera poses, MOTA | 50.0 |" in text
+    assert "camera poses, detection" not in text  # not measured
+
+
 def test_new_weights_have_no_figures(results: Path) -> None:
     text = "\n".join(figures("w sha256:2", results))
     assert text.startswith("Nothing was measured") and "tiny, full" not in text
