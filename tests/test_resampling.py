@@ -72,6 +72,13 @@ def test_nothing_is_beyond_the_cube(way, nearest: bool) -> None:
     assert not found[outside].any()
 
 
+@pytest.mark.parametrize("nearest", [False, True])
+@pytest.mark.parametrize("wrong", [torch.nan, torch.inf, -torch.inf, 1e30])
+def test_a_map_to_nowhere_reads_nothing(wrong: float, nearest: bool) -> None:
+    A = torch.eye(3)[None] * wrong
+    assert not resampled(torch.ones(1, 8, 8, 8), A, torch.full((1, 3), 0.5), 8, nearest).any()
+
+
 def test_linear_values_stay_linear() -> None:
     steps = torch.arange(12.0)
     values = (steps[:, None, None] + 2 * steps[:, None] - 3 * steps)[None]

@@ -39,6 +39,7 @@ def sampled(values: Tensor, A: Tensor, b: Tensor, cells: int, nearest: bool) -> 
 def _read(values, A, b, nearest, found):
     """Fill found, which is zero where nothing is read."""
     size, n = values.shape[1], found.shape[1]
+    end = size + 1
     steps = (np.arange(n) + 0.5) / n - 0.5
     padded = np.zeros((size + 2, size + 2, size + 2), values.dtype)
     for m in range(len(values)):
@@ -54,7 +55,7 @@ def _read(values, A, b, nearest, found):
                     x = x0 + S[0, 2] * steps[k]
                     y = y0 + S[1, 2] * steps[k]
                     z = z0 + S[2, 2] * steps[k]
-                    if min(x, y, z) < 0 or max(x, y, z) >= size + 1:
+                    if not (0 <= x < end and 0 <= y < end and 0 <= z < end):  # so nan is none
                         continue
                     if nearest:
                         cell = int(np.rint(x)), int(np.rint(y)), int(np.rint(z))
