@@ -13,7 +13,7 @@ from composenet.config import TrackingConfig
 from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.records import Box, Similarity, TrackState
-from composenet.tracking.association import NO_SURFACE
+from composenet.tracking.association import NO_SURFACE, elsewhere
 from composenet.tracking.tracker import Tracker
 from composenet.tracking.tracklet import FIRST_LOOK
 from tracking_scenes import CHAIR, DESK, SIZE, TABLE, block, frame, screen, thing
@@ -169,11 +169,26 @@ def test_without_correspondences_the_jump_is_a_new_object():
             frame(0, [thing(3, 0).box, thing(3, 0.62).box]),
             id="the place still shows the object",
         ),
+        pytest.param(
+            thing(3, 0.58),
+            frame(0, [thing(3, 0).box, thing(3, 0.58).box]),
+            id="so it does where the boxes touch",
+        ),
     ],
 )
 def test_no_match_by_shape(second, view):
     _, outputs = run([SEEN, (view, [second])])
     assert ids_seen(outputs[1]) == [2]
+
+
+def test_elsewhere_is_where_neither_box_holds_the_centre_of_the_other():
+    places = [thing(3, y).box for y in (0, 0.29, 0.31, 0.9)]
+    grown = thing(3, 0.5, size=(0.6, 1.6, 0.9)).box
+    np.testing.assert_array_equal(
+        elsewhere(places[:1], [*places, grown]), [[False, False, True, True, False]]
+    )
+    np.testing.assert_array_equal(elsewhere([grown], places), elsewhere(places, [grown]).T)
+    assert elsewhere([], places).shape == (0, 4) and elsewhere(places, []).shape == (4, 0)
 
 
 def test_reach_grows_while_unseen_up_to_its_limit():

@@ -33,7 +33,7 @@ class VolumeConfig:
     """a voxel hit by fewer depth pixels is noise"""
     truncation_m: Positive = 0.15
     """truncation of the signed distance field"""
-    memory_frames: Annotated[int, Field(ge=0)] = 150
+    memory_frames: Annotated[int, Field(ge=0)] = 900
     """surfaces that none of the last so many frames saw are forgotten; 0: each frame alone
     [paper]"""
     memory_reach_m: Positive = 3.0

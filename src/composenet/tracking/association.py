@@ -117,9 +117,20 @@ def match_shapes(
         config,
     )
     still_there = np.array([view.still_there for view in views], dtype=bool)
-    stays = still_there[:, None] & (pairwise_iou(boxes, other_boxes) == 0)
+    stays = still_there[:, None] & elsewhere(boxes, other_boxes)
     admissible = (likeness >= config.canonical_iou_gate) & alike & (nearness > 0) & ~stays
     return assign(likeness * nearness, admissible)
+
+
+def elsewhere(a: Sequence[Box], b: Sequence[Box]) -> NDArray[np.bool_]:
+    """(A, B) bool: whether neither box holds the centre of the other. Boxes of neighbours may
+    touch, and that of an object grows as more of it comes into view, but around its own centre."""
+    if not a or not b:
+        return np.zeros((len(a), len(b)), dtype=bool)
+    centers, other_centers = (np.array([box.center for box in boxes]) for boxes in (a, b))
+    holds = np.array([inside(other_centers, box) for box in a])
+    held = np.array([inside(centers, box) for box in b]).T
+    return np.asarray(~holds & ~held)
 
 
 def reach_m(frames_unseen: NDArray[np.int_], config: TrackingConfig) -> NDArray[np.float64]:
