@@ -114,6 +114,22 @@ def test_each_frame_is_shifted_for_itself(radius: float) -> None:
         assert torch.equal(mine, alone_member)
 
 
+def test_a_fuller_frame_does_not_stop_another() -> None:
+    """Padded to the bins of the fullest, each frame still goes on until its own points rest."""
+    random = torch.Generator().manual_seed(0)
+    for _ in range(10):
+        points = []
+        for count in (400, 60, 5):
+            centers = 200 * torch.rand(4, 3, generator=random)
+            near = 3 * torch.randn(count, 3, generator=random)
+            points.append(centers[torch.randint(4, (count,), generator=random)] + near)
+        frame = torch.repeat_interleave(torch.arange(3), torch.tensor([len(p) for p in points]))
+        modes, of, _ = detection.mean_shift(torch.cat(points), frame, 5.0, 20)
+        for index, own in enumerate(points):
+            alone, _ = mean_shift(own, 5.0, 20)
+            torch.testing.assert_close(modes[of == index], alone, atol=1e-2, rtol=0)
+
+
 @dataclass(frozen=True)
 class Thing:
     """center, extents in voxels; objectness: probability of its voxels."""

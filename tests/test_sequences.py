@@ -526,3 +526,22 @@ def test_max_frames_counts_the_usable(tmp_path):
 def test_a_frame_refuses_depth_that_is_not_metres_of_its_camera(depth):
     with pytest.raises(SequenceError, match=r"frame 7: .*float32 of shape \(18, 24\)"):
         Frame(7, depth, Camera(K, WIDTH, HEIGHT), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "T", [np.eye(3), np.full((4, 4), np.nan), np.diag([1, 1, 1, -np.inf]), np.eye(4)[None]]
+)
+def test_a_frame_wants_a_pose_of_numbers(T: np.ndarray) -> None:
+    depth = np.ones((HEIGHT, WIDTH), np.float32)
+    with pytest.raises(SequenceError, match=r"frame 7: T_world_camera is no \(4, 4\)"):
+        Frame(7, depth, Camera(K, WIDTH, HEIGHT), T)
+
+
+def test_what_no_camera_measures_is_nothing() -> None:
+    depth = np.full((HEIGHT, WIDTH), 2, np.float32)
+    depth[0, :5] = [np.nan, np.inf, -np.inf, -1, 65.535]
+    given = depth.copy()
+    frame = Frame(0, depth, Camera(K, WIDTH, HEIGHT), np.eye(4))
+    assert (frame.depth_m[0, :5] == 0).all() and (frame.depth_m.ravel()[5:] == 2).all()
+    assert frame.depth_m.dtype == np.float32
+    np.testing.assert_array_equal(depth, given)  # the caller's image stays

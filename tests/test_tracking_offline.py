@@ -16,6 +16,7 @@ from composenet.tracking.offline import in_order_of_time, link_offline
 from tracking_scenes import CHAIR, TABLE, block, thing
 
 CONFIG = TrackingConfig()
+FRAMES = range(20)
 LETTERS = {
     "T": TrackState.TRACKED,
     "O": TrackState.OCCLUDED,
@@ -115,7 +116,7 @@ def letters(linked: Track) -> str:
     ],
 )
 def test_linking_table(tracks: Sequence[Track], expected: dict[int, str]):
-    linked = link_offline(tracks, CONFIG)
+    linked = link_offline(tracks, FRAMES, CONFIG)
     assert {one.track_id: letters(one) for one in linked} == expected
     for one in linked:
         assert {entry.track_id for entry in one.history} == {one.track_id}
@@ -126,7 +127,7 @@ def test_linking_table(tracks: Sequence[Track], expected: dict[int, str]):
 def test_poses_and_model_of_a_merged_track():
     solid, grown = block(), block((0.6, 0.6, 1.2))
     first, second = track(1, "TTTLL"), track(2, "....T", y=0.6, canonical=grown)
-    (linked,) = link_offline([first, second], CONFIG)
+    (linked,) = link_offline([first, second], FRAMES, CONFIG)
     ys = [entry.box.center[1] for entry in linked.history]
     np.testing.assert_allclose(ys, [0, 0, 0, 0, 0.6])
     np.testing.assert_allclose(linked.canonical, (3 * solid + grown) / 4, atol=1e-6)
@@ -136,14 +137,14 @@ def test_the_likest_pair_is_linked():
     grown = block((0.6, 0.6, 1.2))
     old = [track(1, "TLLL"), track(2, "TLLL", y=0.5, canonical=grown)]
     new = [track(3, "..TT", y=0.5), track(4, "..TT", y=0.0, canonical=grown)]
-    linked = link_offline(old + new, CONFIG)
+    linked = link_offline(old + new, FRAMES, CONFIG)
     ys = {one.track_id: [entry.box.center[1] for entry in one.history] for one in linked}
     assert ys == {1: [0, 0, 0.5, 0.5], 2: [0.5, 0.5, 0, 0]}
 
 
 def test_without_correspondences_nothing_is_linked():
     tracks = (track(1, "TTLL"), track(2, "..TT"))
-    assert link_offline(tracks, replace(CONFIG, use_correspondences=False)) == tracks
+    assert link_offline(tracks, FRAMES, replace(CONFIG, use_correspondences=False)) == tracks
 
 
 @pytest.mark.parametrize(
@@ -160,7 +161,7 @@ def test_a_track_looked_at_backwards_reads_forwards(looked_at_backwards, told):
     found = track(1, looked_at_backwards)
     last = len(found.history) - 1
     turned = tuple(replace(e, frame_index=last - e.frame_index) for e in found.history)
-    read = in_order_of_time(replace(found, history=turned))
+    read = in_order_of_time(replace(found, history=turned), CONFIG)
     assert letters(read) if told else not read.history
     if told:
         assert letters(read) == told
@@ -171,7 +172,7 @@ def test_a_track_looked_at_backwards_reads_forwards(looked_at_backwards, told):
 def test_the_whole_track_has_its_final_class():
     original = track(1, "TT")
     early = (replace(original.history[0], class_id=TABLE), original.history[1])
-    (linked,) = link_offline([replace(original, history=early)], CONFIG)
+    (linked,) = link_offline([replace(original, history=early)], FRAMES, CONFIG)
     assert [entry.class_id for entry in linked.history] == [CHAIR, CHAIR]
 
 
@@ -187,7 +188,7 @@ def test_no_observation_is_lost_or_made_and_none_are_simultaneous(births):
         track(number, "." * start + "T" + then * 2, y=0.5 * place)
         for number, (start, then, place) in enumerate(sorted(births), start=1)
     ]
-    linked = link_offline(tracks, CONFIG)
+    linked = link_offline(tracks, FRAMES, CONFIG)
     seen = sorted(
         (entry.frame_index, entry.box.center[1])
         for one in tracks
@@ -198,4 +199,6 @@ def test_no_observation_is_lost_or_made_and_none_are_simultaneous(births):
     assert sorted(pair for part in kept for pair in part) == seen
     assert all(len({frame for frame, _ in part}) == len(part) for part in kept)
     assert {one.track_id for one in linked} <= {one.track_id for one in tracks}
-    assert [one.history for one in link_offline(linked, CONFIG)] == [one.history for one in linked]
+    assert [one.history for one in link_offline(linked, FRAMES, CONFIG)] == [
+        one.history for one in linked
+    ]

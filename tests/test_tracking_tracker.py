@@ -377,6 +377,41 @@ def test_offline_tracks_are_linked_over_the_whole_recording():
     assert [e.frame_index for e in chair.history if e.observed] == [0, 1, 5, 6]
 
 
+@pytest.mark.parametrize("use_correspondences", [True, False])
+@pytest.mark.parametrize("company", [True, False])
+def test_looking_back_leaves_no_gaps(company, use_correspondences):
+    """A chair that two frames show with less confidence was there, whatever else there is."""
+    scores = (0.9, 0.9, 0.9, 0.4, 0.4, 0.9, 0.9)
+    table = [thing(3, 2.0, class_id=TABLE)] if company else []
+    stream = [(None, [thing(3, 0, score=score), *table]) for score in scores]
+    online = TrackingConfig(use_correspondences=use_correspondences)
+    tracker, _ = run(stream, online)
+    assert [e.frame_index for e in tracker.tracks()[0].history] == [0, 1, 2, 5, 6]
+    tracker, _ = run(stream, replace(online, offline=True))
+    chair = tracker.tracks()[0]
+    assert [e.frame_index for e in chair.history] == list(range(7))
+    assert all(e.observed and e.state is T for e in chair.history)
+
+
+@pytest.mark.parametrize("gone", [20, 29])
+def test_on_the_way_back_no_frame_is_missed_twice(gone):
+    """A chair that the last frames do not show is the same on the way back, and the longer it has
+    been unseen the less sure it is."""
+    stream = [SEEN] * 5 + [(frame(0), [])] * gone
+    tracker, _ = run(stream, replace(CONFIG, offline=True))
+    tracker.turn_back()
+    for index, (view, estimates) in reversed(list(enumerate(stream))):
+        tracker.update(
+            replace(view or frame(index, [e.box for e in estimates]), index=index), estimates
+        )
+    (chair,) = tracker.tracks()
+    assert chair.track_id == 1
+    assert [e.frame_index for e in chair.history if e.observed] == [0, 1, 2, 3, 4]
+    unseen = [e.confidence for e in chair.history if not e.observed]
+    assert len(unseen) == gone
+    np.testing.assert_allclose(np.divide(unseen[1:], unseen[:-1]), CONFIG.lost_decay)
+
+
 def test_twice_is_enough_and_backwards_means_backwards():
     tracker, _ = run([SEEN, SEEN, SEEN])
     tracker.turn_back()

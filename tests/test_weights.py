@@ -13,7 +13,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from composenet.config import Config, from_dict, to_dict
-from composenet.errors import ConfigError, WeightsError
+from composenet.errors import ConfigError, SequenceError, WeightsError
 from composenet.network.model import ComposeNet
 from composenet.network.weights import FORMAT, load_weights, save_weights
 from composenet.pipeline import load_tracker, select_device
@@ -147,3 +147,13 @@ def test_a_tracker_starts_anew(tiny_weights: Path) -> None:
             np.testing.assert_array_equal(p.canonical, q.canonical)
     stages = ["volume", "backbone", "proposals", "boxes", "objects", "association"]
     assert list(first[0].timings_ms) == stages
+
+
+def test_a_frame_out_of_turn_leaves_nothing_behind(tiny_weights: Path) -> None:
+    tracker = load_tracker(tiny_weights, device="cpu")
+    tracker(frame(5, [BOX]))
+    known = tracker.look(frame(6, [BOX])).surface
+    for index in (3, 5):
+        with pytest.raises(SequenceError, match=f"frame {index} came after frame 5"):
+            tracker(frame(index, [], yaw=np.pi))
+    np.testing.assert_array_equal(tracker.look(frame(6, [BOX])).surface, known)

@@ -73,7 +73,7 @@ class DetectionConfig:
     """smaller clusters are dropped; the paper's 50 drop most objects of few pixels"""
     max_proposals: Count = 30
     min_score: Share = 0.3
-    """a box of less quality is dropped"""
+    """a cluster of less mean objectness, and a box of less quality, is dropped"""
     duplicate_iou: Share = 0.25
     """of two corrected boxes that overlap more than this, the weaker is dropped"""
 
@@ -130,8 +130,9 @@ class TrackingConfig:
     end_after_visible_misses: Count = 30
     """a track unseen for this many frames in which it should have been visible has ended"""
     offline: bool = False
-    """look back from the end of the recording: at every frame once more, with what is remembered of
-    all others, and over all tracks in the paper's second pass"""
+    """look back from the end of the recording: where camera poses are known and surfaces are
+    remembered at every frame once more, with what all others saw, and over all tracks in the
+    paper's second pass"""
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -77,12 +77,12 @@ def mean_shift(
     mean = points.new_zeros(len(bins), 3).index_add_(0, member, points) / mass[:, None]
     weight = points.new_full(shape, _NO_MASS).index_put_((own, slot), mass)
     places = points.new_full((*shape, 3), _NOWHERE).index_put_((own, slot), mean)
-    seeds = places.clone()
+    seeds, real = places.clone(), weight[..., None] > _NO_MASS
     moving = torch.arange(len(sizes), device=own.device)
     for _ in range(steps):
         at, to = seeds[moving], places[moving]
         pull = (torch.cdist(at, to) <= radius) * weight[moving, None]
-        moved = (pull @ to) / pull.sum(dim=2, keepdim=True)
+        moved = torch.where(real[moving], (pull @ to) / pull.sum(dim=2, keepdim=True), at)
         seeds[moving] = moved
         moving = moving[(moved - at).abs().amax(dim=(1, 2)) >= 1e-3 * radius]
         if not len(moving):
@@ -99,7 +99,7 @@ def mean_shift(
 _NOWHERE = 1e4
 """Where padding lies, in voxels: farther than any vote."""
 _NO_MASS = 1e-6
-"""What padding weighs: less than any point, but its means are numbers."""
+"""What padding weighs: less than any point."""
 
 
 def _separate(seeds: Tensor, sizes: Tensor, radius: float) -> tuple[Tensor, Tensor]:

@@ -70,12 +70,15 @@ class ObjectTracker:
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
 
     def __call__(self, frame: Frame) -> FrameResult:
-        """Detect, complete, pose and associate the objects of the next frame."""
+        """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
+        for a frame that does not come after the one before."""
         return self.follow(self.look(frame))
 
     @torch.inference_mode()
     def look(self, frame: Frame) -> Sight:
-        """The first half: volume, voxel fields, proposals."""
+        """The first half: volume, voxel fields, proposals. Raises SequenceError as `follow` does,
+        before the frame leaves anything behind."""
+        self._tracker.expect(frame.index)
         clock = _Clock(self.device)
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)

@@ -29,6 +29,10 @@ CLASS_NAMES: tuple[str, ...] = (
 )
 
 
+FARTHEST_M = 20.0
+"""No depth camera measures farther indoors; 16 bits of millimetres end at 65.535."""
+
+
 class Symmetry(StrEnum):
     """Rotational symmetry of an object about its up axis (Scan2CAD's four kinds)."""
 
@@ -64,9 +68,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D frame. Raises SequenceError where its depth is not in metres or not the camera's.
+    """One RGB-D frame. Raises SequenceError where its depth is not in metres or not the camera's,
+    or its pose is no (4, 4) of finite numbers.
 
-    depth_m: (H, W) float32, z-depth, 0 = invalid. color: (H, W, 3) uint8 or None
+    depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or beyond FARTHEST_M
+    is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3) uint8 or None
     (resized to the depth image where the source's differs). T_world_camera: (4, 4) float64,
     world levelled (z up). pose_known: False where that world is the camera's own levelled frame,
     so that places in different frames cannot be compared.
@@ -88,6 +94,15 @@ class Frame:
                 f"frame {self.index}: depth_m is {depth.dtype} of shape {depth.shape}; "
                 f"expected metres as float32 of shape {expected}, the camera's (height, width)"
             )
+        T = np.asarray(self.T_world_camera)
+        if T.shape != (4, 4) or not np.isfinite(T).all():
+            raise SequenceError(
+                f"frame {self.index}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
+                "frames without a pose out, or give a levelled one and pose_known=False"
+            )
+        measured = (depth >= 0) & (depth <= FARTHEST_M)
+        if not measured.all():
+            object.__setattr__(self, "depth_m", np.where(measured, depth, 0).astype(depth.dtype))
 
 
 @dataclass(frozen=True)
@@ -158,8 +173,9 @@ class Track:
     """One identity over time.
 
     history: one entry for every frame in which it was told of, earliest first; with
-    tracking.offline for every one from the first to the last of these. canonical: (64, 64, 64)
-    float32 in 0..1, the running mean of its reconstructions. class_id: by weighted vote.
+    tracking.offline for every frame of the recording from the first to the last of these.
+    canonical: (64, 64, 64) float32 in 0..1, the running mean of its reconstructions. class_id: by
+    weighted vote.
     """
 
     track_id: int

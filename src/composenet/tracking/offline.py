@@ -18,9 +18,10 @@ from composenet.tracking.assignment import assign
 from composenet.tracking.association import reach_m
 
 
-def in_order_of_time(track: Track) -> Track:
+def in_order_of_time(track: Track, config: TrackingConfig) -> Track:
     """A track whose frames were looked at backwards, earliest first, from the first frame on that
-    shows it. Re-found: seen after a frame in which it was not."""
+    shows it. Re-found: seen after a frame in which it was not. While it is unseen its confidence
+    decays from that of the last frame that showed it, in time."""
     entries = _by_frame(track.history)
     first = next((i for i, entry in enumerate(entries) if entry.observed), len(entries))
     history: list[TrackedObject] = []
@@ -28,24 +29,30 @@ def in_order_of_time(track: Track) -> Track:
         if entry.observed:
             absent = bool(history) and not history[-1].observed
             entry = replace(entry, state=TrackState.RE_FOUND if absent else TrackState.TRACKED)
+        else:
+            lost = entry.state is TrackState.LOST
+            decay = config.lost_decay if lost else config.occluded_decay
+            entry = replace(entry, confidence=decay * history[-1].confidence)
         history.append(entry)
     return replace(track, history=tuple(history))
 
 
-def link_offline(tracks: Sequence[Track], config: TrackingConfig) -> tuple[Track, ...]:
+def link_offline(
+    tracks: Sequence[Track], frames: Sequence[int], config: TrackingConfig
+) -> tuple[Track, ...]:
     """Merge tracks that are one object, under the id of the earliest; by id.
 
     Tracks that are never seen in the same frame, of one class, are matched by canonical IoU
     (gated, optimal assignment; paper, Object Tracking); single unmatched
     proposals are tracks of one frame here, so they join too. Unless it moves faster than
     furniture can (`association.reach_m`). Repeated until nothing matches. A merged track has
-    an entry for every frame that `tracks` tell of, from its birth to its end, and the class of
-    the whole track in each. With use_correspondences off, the tracks are returned as they are.
+    an entry for every one of the recording's frames (indices, in order) from its birth to its end,
+    and the class of the whole track in each. With use_correspondences off, the tracks are returned
+    as they are.
     """
     if not config.use_correspondences:
         return tuple(tracks)
     groups = [_Group.of(track) for track in sorted(tracks, key=_birth)]
-    frames = sorted({entry.frame_index for track in tracks for entry in track.history})
     while merged := _merge_once(groups, config):
         groups = merged
     joined = [_joined(group, frames) for group in groups]

@@ -36,6 +36,7 @@ class Tracker:
         self._max_depth_m = max_depth_m
         self._tracklets: list[Tracklet] = []
         self._last_index: int | None = None
+        self._frames: set[int] = set()
         self._turned = False
 
     def update(
@@ -53,7 +54,9 @@ class Tracker:
         whose index is not larger than the one before, after `turn_back` for one that is not
         smaller.
         """
-        self._advance(frame.index)
+        self.expect(frame.index)
+        self._last_index = frame.index
+        self._frames.add(frame.index)
         alive = [t for t in self._tracklets if t.alive]
         strong = [e for e in estimates if e.score >= self._config.min_score]
         proposals = order_and_deduplicate(strong, alive, self._config.duplicate_iou)
@@ -96,21 +99,22 @@ class Tracker:
 
     def tracks(self) -> tuple[Track, ...]:
         """All tracks so far, as they were told of, ended ones included, by id; with config.offline
-        linked over the whole recording."""
-        tracks = [t.track() for t in self._tracklets]
+        without gaps and linked over the whole recording."""
+        config = self._config
+        tracks = [t.track(whole=config.offline) for t in self._tracklets]
         if self._turned:
-            tracks = [in_order_of_time(track) for track in tracks]
+            tracks = [in_order_of_time(track, config) for track in tracks]
         told = tuple(track for track in tracks if track.history)
-        return link_offline(told, self._config) if self._config.offline else told
+        return link_offline(told, sorted(self._frames), config) if config.offline else told
 
-    def _advance(self, index: int) -> None:
+    def expect(self, index: int) -> None:
+        """Raises SequenceError for the index of a frame whose turn it is not (see `update`)."""
         last, order = self._last_index, "backwards, once" if self._turned else "in order, once"
         if last is not None and (index >= last if self._turned else index <= last):
             raise SequenceError(
                 f"frame {index} came after frame {last}: give frames {order}, "
                 "and another recording to another tracker (`tracker.restart()`)"
             )
-        self._last_index = index
 
     def _view(self, tracklet: Tracklet, frame: Frame) -> Visibility:
         points, spacing_m = surface_in_world(

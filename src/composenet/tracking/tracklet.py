@@ -77,7 +77,7 @@ class Tracklet:
         self.told = False
         self._misses = self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
-        self._told_of: list[TrackedObject] = []
+        self._history: list[tuple[TrackedObject, bool]] = []  # with whether it was told of
         self.S_world_canonical = estimate.S_world_canonical
         self.extents_m = estimate.extents_m
         self._pose_known = estimate.pose_observable
@@ -119,14 +119,21 @@ class Tracklet:
             self._confidence = 0.0
         self._record(frame_index, observed=False)
 
-    def track(self) -> Track:
-        """Every frame in which it was told of, perhaps none, as a record."""
-        return Track(self.track_id, self.class_id, tuple(self._told_of), self.model.mean)
+    def track(self, whole: bool = False) -> Track:
+        """Every frame in which it was told of, perhaps none, as a record. whole: in hindsight,
+        those between the first and the last of them, too."""
+        rows = [row for row, (_, told) in enumerate(self._history) if told]
+        if whole and rows:
+            rows = list(range(rows[0], rows[-1] + 1))
+        history = tuple(self._history[row][0] for row in rows)
+        return Track(self.track_id, self.class_id, history, self.model.mean)
 
     def turn_back(self) -> None:
-        """The recording is looked at again from its end: it stays what it is, its history begins
-        anew."""
-        self._told_of = []
+        """The recording is looked at again from its end: it stays what it was when last seen, its
+        history begins anew. Frames that have not shown it since will be missed again."""
+        self._history = []
+        self._misses = self._visible_misses = 0
+        self._confidence = self._confidence_seen
 
     def _update_shape(self, estimate: ObjectEstimate, weight: float) -> None:
         """Pose, extents and canonical model. An estimate whose pose is not observable says
@@ -150,6 +157,7 @@ class Tracklet:
         self.last_seen = frame_index
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
         self._misses = self._visible_misses = 0
+        self._confidence_seen = self._confidence
         config = self._config
         self.told = self._confidence >= (
             config.keep_confidence if self.told else config.min_confidence
@@ -178,5 +186,4 @@ class Tracklet:
             extents_m=self.extents_m,
             observed=observed,
         )
-        if self.told:
-            self._told_of.append(self.latest)
+        self._history.append((self.latest, self.told))

@@ -15,7 +15,7 @@ from composenet.geometry.affine import apply_affine
 def projective_tsdf(
     points: Tensor, depth_m: Tensor, K: Tensor, T_camera_points: Tensor, truncation_m: float
 ) -> tuple[Tensor, Tensor]:
-    """Signed distance along the viewing ray at given points, one frame a row.
+    """Signed distance along the optical axis at given points, one frame a row.
 
     points: (B, P, 3) metres. depth_m: (B, H, W). K: (B, 3, 3). T_camera_points: (B, 4, 4).
     Returns tsdf (B, P) in [-1, 1], positive in front of the surface, 0 where unknown; and
