@@ -81,7 +81,6 @@ def test_the_rate_stays_the_papers() -> None:
 
 
 def test_without_a_name_it_is_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert training_config(None) == TrainingConfig()
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.json").write_text('{"batch_frames": 3}')
     assert training_config(Path("own.json")).batch_frames == 3

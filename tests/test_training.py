@@ -67,6 +67,42 @@ def test_a_run_goes_on_where_it_stopped(recordings: Path, tmp_path: Path) -> Non
     assert config == TINY and notes["steps"] == 5
 
 
+def test_a_run_goes_on_with_what_it_has_learned(recordings: Path, tmp_path: Path) -> None:
+    """Network, moving average and optimiser are those that were saved, and the recipe, too, which
+    need not be given again."""
+    config = replace(CONFIG, seed=3, learning_rate=7e-4, weight_decay=1e-5)
+    begun, batch = Trainer(config, options(tmp_path), ALONE), batch_of(recordings)
+    for _ in range(3):
+        begun.step(batch, 1e-2)
+    begun.save()
+    resumed = Trainer(None, options(tmp_path), ALONE)
+    assert resumed.config == config and resumed.progress == begun.progress
+    for a, b in ((resumed.module, begun.module), (resumed.average, begun.average)):
+        states = a.state_dict(), b.state_dict()
+        assert states[0].keys() == states[1].keys()
+        assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    values = []
+    for trainer in (begun, resumed):
+        trainer.generator.manual_seed(0)  # one that goes on moves its boxes otherwise
+        values.append(trainer.step(batch, 1e-2)["total"])
+    assert values[0] == pytest.approx(values[1], rel=1e-5)
+
+
+def test_a_run_does_not_go_on_with_another_recipe(tmp_path: Path) -> None:
+    Trainer(CONFIG, options(tmp_path), ALONE).save()
+    weights = replace(CONFIG.weights, box=2.0)
+    changed = {
+        "parts": replace(CONFIG, parts="boxes"),
+        "weights.box": replace(CONFIG, weights=weights),
+    }
+    for name, other in changed.items():
+        with pytest.raises(
+            WeightsError, match=rf"another configuration \({name} is .*--start-from"
+        ):
+            Trainer(other, options(tmp_path), ALONE)
+    Trainer(replace(CONFIG), options(tmp_path), ALONE)  # the same is welcome
+
+
 def test_time_is_up(recordings: Path, tmp_path: Path) -> None:
     start = time.monotonic()
     run = options(tmp_path, max_steps=None, max_minutes=1 / 60, validation_scenes=0)

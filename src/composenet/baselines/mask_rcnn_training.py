@@ -40,7 +40,7 @@ from composenet.training.schedule import scheduled_rate
 FORMAT = "composenet.mask_rcnn_checkpoint/2"
 WARMUP_STEPS = 150
 DECAY_SHARE = 0.5
-"""the rate falls to zero over this last part of a run, so every run ends with usable weights"""
+"""the rate falls to a hundredth over this last part of a run, which so ends with usable weights"""
 WEIGHT_DECAY = 1e-4
 GRADIENT_CLIP = 5.0
 SAY_EVERY_S, SAVE_EVERY_S = 20.0, 300.0

@@ -39,7 +39,7 @@ def run_train(
         start_from=start_from,
     )
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
-    weights = train(training_config(config), options, source)
+    weights = train(training_config(config) if config else None, options, source)
     if os.environ.get("RANK", "0") == "0":
         say(Console(), f"wrote {weights}; try it: composenet demo --weights {weights}")
     return 0

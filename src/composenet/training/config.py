@@ -41,9 +41,9 @@ class LossWeights:
 
 @dataclass(frozen=True, config=_STRICT)
 class TrainingConfig:
-    """One training run. The learning rate is constant after a warm-up and falls to zero over the
-    last decay_share of --max-minutes, so that every run ends with usable weights and can be
-    continued."""
+    """One training run. The learning rate is constant after a warm-up and falls to a hundredth
+    over the last decay_share of --max-minutes, so that every run ends with usable weights and can
+    be continued."""
 
     model: Config = Config()
     weights: LossWeights = LossWeights()
@@ -73,13 +73,11 @@ class TrainingConfig:
     """runs of different seeds meet different scenes"""
 
 
-def training_config(source: Path | None) -> TrainingConfig:
-    """The default, a configuration of the package by its name (`paper`), or that of a JSON file.
+def training_config(source: Path) -> TrainingConfig:
+    """A configuration of the package by its name (`paper`), or that of a JSON file.
 
     Raises ConfigError.
     """
-    if source is None:
-        return TrainingConfig()
     shipped = Path(str(resources.files("composenet") / "configs" / f"{source.name}.json"))
     named = source == Path(source.name) and shipped.is_file()
     return cast(TrainingConfig, load(shipped if named else source, TrainingConfig))

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
+from composenet.config import to_dict
 from composenet.errors import ComposenetError, DataError, WeightsError
 from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
@@ -47,18 +48,22 @@ class RunOptions:
     validate_every_minutes: float = 15.0
     validation_scenes: int = 8
     start_from: Path | None = None
-    """weights to begin a new run from"""
+    """weights to begin a new run from; one that goes on has its own"""
 
 
 class Trainer:
     """State of one run: network, moving average, optimiser, progress."""
 
-    def __init__(self, config: TrainingConfig, options: RunOptions, group: Group) -> None:
+    def __init__(self, config: TrainingConfig | None, options: RunOptions, group: Group) -> None:
+        """config: None where the run has begun is its own, else the default. Raises WeightsError,
+        also for another than the run's own."""
         self.options, self.group = options, group
         self.checkpoint_path = options.out / "checkpoint.pt"
-        torch.manual_seed(config.seed)
         resumed = load_checkpoint(self.checkpoint_path) if self.checkpoint_path.exists() else None
-        self.config = config
+        if resumed:
+            _refuse_other(config, resumed["config"], self.checkpoint_path)
+        self.config = config = resumed["config"] if resumed else config or TrainingConfig()
+        torch.manual_seed(config.seed)
         self.progress = resumed["progress"] if resumed else Progress()
         self.module = LossModule(config).to(group.device)
         if options.start_from and not resumed:
@@ -147,6 +152,28 @@ def _warm_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], No
     return average
 
 
+def _refuse_other(asked: TrainingConfig | None, own: TrainingConfig, path: Path) -> None:
+    """Raises WeightsError where a run is to go on with another configuration than its own."""
+    if asked is None or asked == own:
+        return
+    there, here = _flat(to_dict(own)), _flat(to_dict(asked))
+    name = next(key for key in here if here[key] != there[key])
+    raise WeightsError(
+        f"{path}: a run has begun here with another configuration ({name} is {there[name]}, not "
+        f"{here[name]}); leave --config out to go on with it, or begin anew from its weights with "
+        "--start-from and another --out"
+    )
+
+
+def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """{"a.b": value} of nested dictionaries."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        inner = isinstance(value, dict)
+        flat |= _flat(value, f"{prefix}{key}.") if inner else {f"{prefix}{key}": value}
+    return flat
+
+
 @contextmanager
 def _fitting(path: Path) -> Iterator[None]:
     """Raises WeightsError where the states of a file do not fit the configuration."""
@@ -167,8 +194,9 @@ def learning_rate(config: TrainingConfig, steps_done: int, run_share: float) -> 
     )
 
 
-def train(config: TrainingConfig, options: RunOptions, source: SceneSource) -> Path:
-    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path.
+def train(config: TrainingConfig | None, options: RunOptions, source: SceneSource) -> Path:
+    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path. config: see
+    `Trainer`.
 
     Raises WeightsError where a checkpoint or weights cannot be used, DataError for bad data.
     """
