@@ -25,6 +25,8 @@ from composenet.training.step import LossModule, weighted_sum
 from composenet.training.targets import TrainingBatch
 
 Parts = Literal["detector", "objects"]
+FRAMES = 4
+"""Of each scene, all in one batch: they are alike, so that only scenes are independent."""
 
 
 @torch.no_grad()
@@ -49,8 +51,9 @@ def main(
     parts: Parts = "detector",
     out: Path | None = None,
 ) -> None:
-    """Mean loss of each, and its difference from that of the shipped weights, over batches."""
-    batches = fixed_batches(SceneSource("val"), TrainingConfig(), scenes, start, frames=4)
+    """Mean loss of each, and its difference from that of the shipped weights, over scenes."""
+    config = TrainingConfig(batch_frames=FRAMES)
+    batches = fixed_batches(SceneSource("val"), config, scenes, start, frames=FRAMES)
     shipped = losses_of(default_weights(), batches, parts)
     rows = [{"weights": weights_id(default_weights()), "loss": round(float(shipped.mean()), 4)}]
     for path in weights:

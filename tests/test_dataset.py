@@ -1,6 +1,7 @@
 """What is written comes back exactly; nothing is ever half written."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import trimesh
 from PIL import Image
 
 from composenet.errors import DataError
-from composenet.synth import dataset
+from composenet.synth import cad, dataset
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 
 OPTIONS = SceneOptions(frames=3, image_size=(160, 120))
@@ -85,6 +86,24 @@ def test_finished_sequences_are_kept(written: tuple[Scene, Path]) -> None:
         dataset.write_split(
             "val", 1, folder.parent, 5, SceneOptions(frames=4, image_size=(160, 120))
         )
+
+
+def test_sequences_of_other_meshes_are_not_taken_for_finished(tmp_path: Path) -> None:
+    options = []
+    for name, width in (("a", 0.5), ("b", 0.6)):
+        (tmp_path / name / "table").mkdir(parents=True)
+        mesh = trimesh.creation.box([1.0, 0.7, width]).subdivide_loop(1 if name == "b" else 0)
+        mesh.export(tmp_path / name / "table" / "plain.ply")
+        options.append(replace(OPTIONS, cad_dir=tmp_path / name, cad_share=1.0))
+    (folder,) = dataset.write_split("val", 1, tmp_path / "out", 5, options[0])
+    assert dataset.write_split("val", 1, tmp_path / "out", 5, options[0]) == (folder,)
+    with pytest.raises(DataError, match="holds a sequence with cad_meshes"):
+        dataset.write_split("val", 1, tmp_path / "out", 5, options[1])
+    path = folder / "annotations.json"
+    older = json.loads(path.read_text())
+    assert older.pop("cad_meshes") == cad.digest(tmp_path / "a")
+    path.write_text(json.dumps(older))  # written before the meshes were told of
+    assert dataset.write_split("val", 1, tmp_path / "out", 5, options[1]) == (folder,)
 
 
 def test_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ Files hold +Y up, front +Z, metres; they map by `p_object = p_cad[[2, 0, 1]]`.
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from dataclasses import replace
 from functools import lru_cache
@@ -44,6 +45,13 @@ def load_library(folder: Path) -> dict[str, tuple[Path, ...]]:
             f"with CLASS one of {', '.join(CLASS_NAMES)}"
         )
     return library
+
+
+def digest(folder: Path) -> str:
+    """What meshes a folder holds, by their names and sizes. Raises DataError (`load_library`)."""
+    files = [path for paths in load_library(folder).values() for path in paths]
+    names = [f"{path.relative_to(folder).as_posix()} {path.stat().st_size}" for path in files]
+    return hashlib.sha256("\n".join(names).encode()).hexdigest()[:12]
 
 
 @lru_cache(maxsize=512)

@@ -42,6 +42,7 @@ from composenet.records import (
     Symmetry,
 )
 from composenet.synth import stats
+from composenet.synth.cad import digest
 from composenet.synth.scene import (
     DEFAULT_OPTIONS,
     GENERATOR_VERSIONS,
@@ -140,7 +141,9 @@ def _check_same(folder: Path, split: str, index: int, options: SceneOptions) -> 
         "image_size": list(options.image_size),
         "n_frames": options.frames,
         "cad_share": 0.0 if options.cad_dir is None else options.cad_share,
+        "cad_meshes": "" if options.cad_dir is None else digest(options.cad_dir),
     }
+    data.setdefault("cad_meshes", wanted["cad_meshes"])  # earlier sequences do not tell
     for key, value in wanted.items():
         if data.get(key) != value:
             raise DataError(
@@ -204,6 +207,7 @@ def _annotations(scene: Scene, frames: tuple[tuple[ObjectFrameTruth, ...], ...])
         "index": scene.index,
         "n_frames": scene.n_frames,
         "cad_share": scene.cad_share,
+        "cad_meshes": scene.cad_meshes,
         "image_size": [scene.camera.width, scene.camera.height],
         "sensor": scene.sensor.kind.value,
         "objects": [

@@ -74,7 +74,8 @@ class Scene:
     """A sequence, rendered on demand.
 
     T_world_camera: (F, 4, 4). shapes: N of them, the room first. gt_ids: (N,) uint16, 0 for
-    what is no furniture. T_world_shape: (F, N, 4, 4). The floor is at z = 0.
+    what is no furniture. T_world_shape: (F, N, 4, 4). The floor is at z = 0. cad_share,
+    cad_meshes: how much of the furniture is from meshes, and which (`cad.digest`).
     """
 
     name: str
@@ -88,6 +89,7 @@ class Scene:
     sensor: Sensor
     light: Light
     cad_share: float = 0.0
+    cad_meshes: str = ""
 
     @property
     def n_frames(self) -> int:
@@ -246,6 +248,7 @@ def generate_scene(split: str, index: int, options: SceneOptions = DEFAULT_OPTIO
         sensor=sample_sensor(rng),
         light=_light(rng, layout, T_world_room),
         cad_share=0.0 if options.cad_dir is None else options.cad_share,
+        cad_meshes="" if options.cad_dir is None else cad.digest(options.cad_dir),
     )
 
 

@@ -90,8 +90,9 @@ def samples_of_scene(
             continue
         if augment:
             volume.features[:, 6] += rng.normal(0, 0.03)
+        pixels = dict(zip(*np.unique(ids, return_counts=True), strict=True))
         truth = scene.frame_truth(i, rendered.ids, fractions=False)
-        seen = [t for t in truth if t.visible_pixels >= config.min_visible_pixels]
+        seen = [t for t in truth if pixels.get(t.gt_id, 0) >= config.min_visible_pixels]
         truths = [scene.object_truth(t.gt_id, solids) for t in seen]
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
@@ -129,14 +130,16 @@ def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:
-    """Blank everything outside a random window: narrower views and objects cut by the border."""
+    """Blank depth and ids outside a random window: narrower views, objects cut by the border, and
+    some that are not seen at all."""
     height, width = frame.depth_m.shape
     w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))
     u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
-    depth = np.zeros_like(frame.depth_m)
-    depth[v : v + h, u : u + w] = frame.depth_m[v : v + h, u : u + w]
+    window = np.s_[v : v + h, u : u + w]
+    depth, left = np.zeros_like(frame.depth_m), np.zeros_like(ids)
+    depth[window], left[window] = frame.depth_m[window], ids[window]
     camera = Camera(frame.camera.K, width, height)
-    return replace(frame, depth_m=depth, camera=camera), ids
+    return replace(frame, depth_m=depth, camera=camera), left
 
 
 class SceneStream(IterableDataset):
