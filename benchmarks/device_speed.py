@@ -188,7 +188,8 @@ def main(
     if out is not None:
         command = f"python benchmarks/device_speed.py --device {device}"
         command += f" --batch-frames {batch_frames} --batches {batches}"
-        command += f" --training {' '.join(training)}"
+        command += f" --workers {workers}" + (f" --threads {threads}" if threads else "")
+        command += f" --frames {frames} --training {' '.join(training)}"
         info = asdict(
             RunInfo("val_00000 and training scenes", SEED, command, weights_id(default_weights()))
         )

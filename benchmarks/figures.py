@@ -79,7 +79,7 @@ def main(
     draw_calibration(tracks, detections, where, out / "calibration.png")
     draw_completion(points, groups, where, out / "mota_completion.png")
     result = {
-        **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
+        **{key: run[key] for key in ("data", "commit", "seed", "weights", "hardware", "date")},
         "command": f"python benchmarks/figures.py {scores} --data {data} --variant {variant}",
         "variant": variant,
         "sequences": len(scored),

@@ -204,7 +204,7 @@ def main(
     if chosen := [*ahead, *behind]:
         sheet(chosen, {one: first, other: second}).save(image, quality=80)
     result = {
-        **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
+        **{key: run[key] for key in ("data", "commit", "seed", "weights", "hardware", "date")},
         "command": f"python benchmarks/gains.py {scores} --data {data} --one {one} --other {other}",
         "sequences": len(first),
         "one": one,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,7 @@ import tyro
 from figures import read_scores
 
 from composenet.commands.scoring import sequence_folders
+from composenet.metrics.report import RunInfo
 
 
 def main(
@@ -38,7 +40,9 @@ def main(
         ahead = {"mota_minus_first": round(mean, 2), "standard_error": round(error, 2)}
         rows[folder.name] = run | {"variants": {variant: run["variants"][variant] | ahead}}
         print(f"{folder.name}: MOTA {mean:+.2f}, standard error {error:.2f}")
-    numbers.write_text(json.dumps(rows, indent=2) + "\n")
+    command = f"python benchmarks/paired.py {' '.join(map(str, scores))} --data {data}"
+    info = RunInfo(data.name, 0, f"{command} --variant {variant}")
+    numbers.write_text(json.dumps(asdict(info) | {"runs": rows}, indent=2) + "\n")
 
 
 def difference(ours: Mapping[Path, float], first: Mapping[Path, float]) -> tuple[float, float]:

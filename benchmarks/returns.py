@@ -27,7 +27,7 @@ from PIL import Image
 from composenet.commands.failures import frame_with_boxes
 from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
 from composenet.geometry.box import OrientedBox
-from composenet.metrics.evaluate import posed_truths
+from composenet.metrics.evaluate import posed_truths, tracking_frames
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
 from composenet.records import CLASS_NAMES
@@ -76,14 +76,22 @@ def main(
     if cases:
         sheet(cases, {one: kept[one], other: kept[other]}).save(image, quality=85)
     result = {
-        **{key: run[key] for key in ("data", "commit", "weights", "hardware", "date")},
+        **{key: run[key] for key in ("data", "commit", "seed", "weights", "hardware", "date")},
         "command": f"python benchmarks/returns.py {scores} --data {data}",
         "sequences": len(folders),
+        "objects": sum(counted_objects(folder) for folder in folders),
+        "objects_that_return": sum(len({r.gt_id for r in own}) for own in found[one].values()),
         "moved_m": MOVED_M,
         "rows": table,
     }
     numbers.write_text(json.dumps(result, indent=2) + "\n")
     print(f"wrote {numbers}" + (f" and {image}" if cases else ""))
+
+
+def counted_objects(folder: Path) -> int:
+    """How many objects of the sequence count in any frame."""
+    truth = read_truth(folder)
+    return len({g for f in tracking_frames(truth, [()] * len(truth.frames)) for g in f.gt_ids})
 
 
 def returns_of(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:

@@ -9,7 +9,11 @@ import pytest
 from composenet.errors import DataError
 from composenet.geometry.box import OrientedBox, aabb_of_oriented
 from composenet.geometry.transform import make_T, rotation_z
+from composenet.metrics.completion import CompletionError
+from composenet.metrics.detection import DetectionOutcomes
 from composenet.metrics.evaluate import aggregate, bootstrap_interval, evaluate_sequence
+from composenet.metrics.objects import ClassOutcomes, MatchedObject, ObjectScores
+from composenet.metrics.pose import PoseError
 from composenet.metrics.report import (
     RunInfo,
     results,
@@ -21,6 +25,8 @@ from composenet.metrics.report import (
 from composenet.records import (
     CLASS_NAMES,
     Box,
+    Camera,
+    Frame,
     ObjectEstimate,
     ObjectFrameTruth,
     ObjectTruth,
@@ -244,6 +250,135 @@ def test_dataset_means_and_pools():
     assert bootstrap_interval(np.array([0.4, 0.4])) == pytest.approx((0.4, 0.4))
 
 
+def test_identities_and_hota_are_pooled():
+    """The sums of all sequences, each wrong in its own way, by hand: of `half`, 3 of 6 found, each
+    trajectory half as long as its object; of `renamed`, one of three objects in two halves."""
+    half = evaluate_sequence(world(frames=2), [answer_tracks(frames=1)[0], []])
+    good = evaluate_sequence(world(), answer_tracks())
+    renamed = changed(answer_tracks(), is_track(39, range(3, 6)), track_id=7)
+    parts = {"half": half, "good": good, "renamed": evaluate_sequence(world(), renamed)}
+    scores = aggregate(parts)
+    assert [part.identity.idf1 for part in parts.values()] == pytest.approx([2 / 3, 1, 5 / 6])
+    assert (scores.identity.idtp, scores.identity.idfn, scores.identity.idfp) == (36, 6, 3)
+    assert scores.identity.idf1 == pytest.approx(2 * 36 / (2 * 36 + 6 + 3))
+    tp, fn = 3 + 18 + 18, 3
+    association = 3 * 1 / 2 + 18 + (12 + 6 * 1 / 2)
+    assert scores.hota.det_a == pytest.approx(tp / (tp + fn))
+    assert scores.hota.ass_a == pytest.approx(association / tp)
+    assert scores.hota.hota == pytest.approx(np.sqrt(association / (tp + fn)))
+
+
+def objects_by_hand(found, truths, errors, counted) -> ObjectScores:
+    """`found`: right detections of tables, one number a kind of outcome; `errors`: of each
+    matched object rotation, translation, volume IoU, chamfer, seen and unseen distance."""
+
+    def outcomes(found, truths):
+        return ClassOutcomes(
+            *(DetectionOutcomes(np.full(n, 0.9), np.ones(n, dtype=bool), truths) for n in found)
+        )
+
+    classes = [outcomes([0] * 6, 0)] * len(CLASS_NAMES)
+    classes[TABLE] = outcomes(found, truths)
+    matched = [MatchedObject(TABLE, PoseError(*e[:2]), CompletionError(*e[2:])) for e in errors]
+    return ObjectScores(tuple(classes), tuple(matched), counted)
+
+
+def test_scores_of_objects_are_pooled():
+    nan = float("nan")
+    first = objects_by_hand([1, 2, 3, 4, 5, 6], 10, [(40, 4, 0.5, 3, 1, 7)], 3)
+    second = objects_by_hand([0] * 6, 20, [(10, 6, 0.3, 4, 2, 8), (20, 8, 0.1, 8, nan, 9)], 9)
+    plain = evaluate_sequence(world(frames=1), answer_tracks(frames=1))
+    scores = aggregate(
+        {
+            "first": replace(plain, objects=first, seconds_per_frame=(20, 3, 1, 19)),
+            "second": replace(plain, objects=second, seconds_per_frame=(0, 2, *range(4, 19))),
+            "only tracks": plain,
+        }
+    )
+    by_class = [getattr(scores.precisions, field.name) for field in fields(scores.precisions)]
+    assert [values[TABLE] for values in by_class] == pytest.approx([n / 30 for n in range(1, 7)])
+    assert all(np.isnan(values[CHAIR]) for values in by_class)
+    completion, pose = scores.completion, scores.pose
+    assert (completion.volume_iou, completion.chamfer_cm) == pytest.approx((0.3, 5))
+    assert (completion.seen_cm, completion.unseen_cm) == pytest.approx((1.5, 8))
+    assert (pose.rotation_deg_median, pose.translation_cm_median) == (20, 6)
+    assert pose.recall == pytest.approx(3 / 12)
+    assert (scores.seconds_median, scores.seconds_p95) == pytest.approx((10, 19))  # of 0 .. 20
+
+
+LONG = (2.0, 0.4, 1.0)
+
+
+def long_table(symmetry=Symmetry.NONE, frames=1) -> SequenceTruth:
+    """One table on the floor, its length along the diagonal of the world's x and y."""
+    T = make_T(rotation_z(np.pi / 4), (0, 0, 0.5))
+    box = aabb_of_oriented(OrientedBox(T[:3, 3], T[:3, :3], np.array(LONG)))
+    occupancy = np.ones((64, 64, 64), dtype=bool)
+    table = ObjectTruth(1, TABLE, symmetry, np.array(LONG), occupancy, np.zeros((0, 3)))
+    return SequenceTruth((table,), ((ObjectFrameTruth(1, T, box, 900, 1.0),),) * frames)
+
+
+def long_estimate(turn_deg=0.0, along_m=0.0, up_m=0.0, filled_cells=64) -> ObjectEstimate:
+    """The long table, turned, moved along its length and up, cut off above its lowest cells."""
+    R = rotation_z(np.pi / 4 + np.radians(turn_deg))
+    center = along_m * R[:, 0] + (0, 0, 0.5 + up_m)
+    S = Similarity(float(np.linalg.norm(LONG)), R, center)
+    shape = canonical(LONG)
+    shape[:, :, filled_cells:] = 0
+    box = Box(center, np.abs(R) @ LONG)
+    probabilities = np.eye(10)[TABLE]
+    return ObjectEstimate(probabilities, 0.9, box, S, True, np.array(LONG), np.zeros((0, 3)), shape)
+
+
+KINDS = {  # name: change; found at 0.25 and 0.5 by boxes, by oriented boxes, by volumes
+    "right": ({}, (1, 1, 1, 1, 1, 1)),
+    # IoU 0.6 / 1.4 of every kind
+    "raised": ({"up_m": 0.4}, (1, 0, 1, 0, 1, 0)),
+    # bounds are the same squares; the tables share 0.16 of 1.44 square metres
+    "turned": ({"turn_deg": 90}, (1, 1, 0, 0, 0, 0)),
+    # IoU 1.1 / 2.9 of the tables, 0.24 of their bounds
+    "moved": ({"along_m": 0.9}, (0, 0, 1, 0, 1, 0)),
+    # 0.36 m of 1 m
+    "lower third": ({"filled_cells": 28}, (1, 1, 1, 1, 1, 0)),
+    # 0.15 m of 1 m
+    "only a foot": ({"filled_cells": 22}, (1, 1, 1, 1, 0, 0)),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_each_precision_has_its_own_iou_and_threshold(name):
+    change, expected = KINDS[name]
+    score = evaluate_sequence(long_table(), [[]], [[long_estimate(**change)]])
+    scores = aggregate({"one": score})
+    found = [getattr(scores.precisions, f.name)[TABLE] for f in fields(scores.precisions)]
+    assert tuple(found) == expected
+    assert scores.pose.recall == expected[0]  # objects are compared at box IoU 0.25
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "error_deg"), [(Symmetry.NONE, 170), (Symmetry.TWO, 10), (Symmetry.INF, 0)]
+)
+def test_rotations_are_compared_by_the_symmetry_of_the_object(symmetry, error_deg):
+    score = evaluate_sequence(long_table(symmetry), [[]], [[long_estimate(turn_deg=170)]])
+    assert aggregate({"one": score}).pose.rotation_deg_median == pytest.approx(error_deg, abs=1e-5)
+
+
+def test_surfaces_are_split_by_what_their_own_frame_sees():
+    """A camera 4 m above the table, blind in the first of two frames. The estimate ends 0.65 m
+    below the top, which is seen; the sides, which are not, are nearer or whole."""
+    K, R = np.array([[50.0, 0, 79.5], [0, 50, 59.5], [0, 0, 1]]), np.diag([1.0, -1, -1])
+    frames = [
+        Frame(i, np.full((120, 160), depth, np.float32), Camera(K, 160, 120), make_T(R, (0, 0, 5)))
+        for i, depth in enumerate((0.0, 4.0))
+    ]
+    estimates = [[long_estimate(filled_cells=28)]] * 2
+    score = evaluate_sequence(long_table(frames=2), [[], []], estimates, frames=frames)
+    blind, seeing = (item.completion for item in score.objects.matched)
+    assert np.isnan(blind.seen_cm)
+    assert seeing.seen_cm == pytest.approx(65, abs=1)
+    assert 0 < seeing.unseen_cm < blind.unseen_cm < 30
+
+
 def test_bad_input():
     with pytest.raises(DataError, match="tracks for 5 frames"):
         evaluate_sequence(world(), answer_tracks(frames=5))
@@ -266,6 +401,9 @@ KEYS = [
     "mota_per_class",
     "idf1",
     "hota",
+    "counted",
+    "tracked",
+    "false_positives",
     "id_switches",
     "det_map25",
     "det_map50",
@@ -298,6 +436,8 @@ def test_results_file(tmp_path):
     assert (first["mota_mean"], first["idf1"], first["det_map50"]) == (100, 100, 100)
     assert first["mota_per_class"]["chair"] == 100
     assert first["mota_per_class"]["bed"] is None
+    counts = [first[key] for key in ("counted", "tracked", "false_positives", "id_switches")]
+    assert counts == [18, 18, 0, 0]
     assert first["mota_interval"] == [100, 100]
     assert first["mota_per_sequence"] == {"one": 100}
     assert first["det_ap50_per_class"]["chair"] == 100

@@ -18,7 +18,7 @@ from PIL import Image
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import ScoredSequence, moved_truth, score_tracks
 from composenet.errors import DataError
-from composenet.metrics.evaluate import aggregate
+from composenet.metrics.evaluate import aggregate, posed_truths
 from composenet.metrics.report import RunInfo, write_results
 from composenet.metrics.returns import Outcome, Return, returns
 from composenet.records import (
@@ -177,6 +177,9 @@ def test_numbers_and_picture(
     parts = data["rows"]["no-corr"]["mota_by_part"]  # other names from frame 3 of 6 on
     assert parts[2] < 100 and parts[:2] + parts[3:] == [100] * 4
     assert not image.exists()  # in six frames nobody goes and comes back
+    frames = [(f, posed) for f in folders for posed in posed_truths(read_truth(f))]
+    count = {(f, item.placed.gt_id) for f, posed in frames for item in posed if not item.ignored}
+    assert data["objects"] == len(count) > 0 and data["objects_that_return"] == 0
 
     def left(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:
         after = max(e.track_id for e in item.tracked[5])
@@ -185,7 +188,9 @@ def test_numbers_and_picture(
 
     monkeypatch.setattr(benchmark, "returns_of", left)
     benchmark.main(scores, recordings, numbers, image)
-    rows_now = json.loads(numbers.read_text())["rows"]
+    told = json.loads(numbers.read_text())
+    rows_now = told["rows"]
+    assert told["objects_that_return"] == 2  # one a recording
     assert rows_now["full"]["moved"]["kept"] == rows_now["no-corr"]["moved"]["changed"] == 2
     with Image.open(image) as picture:  # two cases: last seen, back by the one, by the other
         assert picture.size == (3 * 480, 2 * (360 + gains.CAPTION_PX))

@@ -68,7 +68,7 @@ class CompletionScores:
 
 @dataclass(frozen=True)
 class DatasetScores:
-    """Several sequences. Shares are 0..1 and NaN where undefined.
+    """Several sequences. Shares are 0..1, NaN where undefined (IDF1 and HOTA 0, as in TrackEval).
 
     mota_by_sequence: by name, NaN for a sequence without counted objects; mota_mean: of the
     others, with its 95 % interval (bootstrap over sequences). clear, clear_per_class, identity,
