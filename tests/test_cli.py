@@ -56,6 +56,20 @@ def test_help_is_instant_and_does_not_import_torch() -> None:
     assert all(name in done.stdout for name in COMMANDS)
 
 
+def test_ctrl_c_while_it_starts_is_no_traceback() -> None:
+    code = (
+        "import sys\n"
+        "class Press:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'tyro': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Press())\n"
+        "from composenet.__main__ import main\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "composenet: interrupted\n")
+
+
 @pytest.mark.parametrize(("asked", "used"), [(None, "passive"), ("active", "active")])
 def test_threads_wait_asleep_unless_asked_otherwise(
     asked: str | None, used: str, tmp_path: Path

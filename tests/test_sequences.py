@@ -153,6 +153,23 @@ def test_timestamps_come_from_tum(tmp_path):
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-5)
 
 
+def test_a_trajectory_of_another_shape_is_refused(tmp_path):
+    root = write_tum(tmp_path / "s")
+    path = root / "groundtruth.txt"
+    path.write_text(path.read_text().replace(" ", ","))
+    assert_refused(root, "groundtruth.txt", "none of its", "qx qy qz qw")
+
+
+def test_colour_at_other_times_is_told_of(tmp_path):
+    root = write_tum(tmp_path / "s")
+    lines = (root / "rgb.txt").read_text().splitlines()
+    (root / "rgb.txt").write_text("\n".join(lines[:2]) + "\n")
+    sequence = open_sequence(root)
+    assert sum(frame.color is None for frame in sequence) == COUNT - 1
+    (line,) = sequence.warnings
+    assert line.startswith(f"{COUNT - 1} frames without colour: rgb.txt has none within 0.02 s")
+
+
 def test_nearest_timestamp_table():
     at = np.array([0.0, 1.0, 2.0, 3.0])
     stream = np.array([3.019, 0.011, -0.01, 1.021])
@@ -221,7 +238,7 @@ def spoil(root: Path, what: str) -> None:
         ("8 bit", "depth is not a 16-bit grey image (mode L)"),
         ("size", "depth is 24x9, the others are 24x18"),
         ("no measurement", "depth image holds no measurement"),
-        ("no pose", "no pose"),
+        ("no pose", "no pose: no file of its name in pose/"),
         ("text pose", "pose is not a 4x4 matrix"),
         ("nan", "pose is not finite (NaN or inf)"),
         ("-inf", "pose is not finite (NaN or inf)"),
@@ -250,9 +267,29 @@ def test_colour_may_be_missing_or_corrupt(plain):
     path.write_bytes(path.read_bytes()[:200])
     sequence = open_sequence(plain)
     assert [frame.color is None for frame in sequence] == [True, True, False, False]
-    assert len(sequence.warnings) == 1 and "1 frame without colour" in sequence.warnings[0]
+    absent, corrupt = sequence.warnings
+    assert absent == "1 frame without colour: no file of their name in color/ (frame-0)"
+    assert corrupt.startswith("1 frame without colour: ") and corrupt.endswith("(frame-1)")
     shutil.rmtree(plain / "color")
     assert all(frame.color is None for frame in open_sequence(plain))
+
+
+def test_frames_named_by_times_follow_each_other(tmp_path):
+    root = write_plain(tmp_path / "r", 4)
+    names = ["10.25", "10.5", "11.0", "9.75"]  # as Python prints them
+    for i, name in enumerate(names):
+        for path in root.glob(f"*/frame-{i}.*"):
+            path.rename(path.with_name(name + path.suffix))
+    assert [f.name for f in open_sequence(root)] == ["9.75", "10.25", "10.5", "11.0"]
+
+
+def test_poses_that_are_nowhere_are_asked_for(plain):
+    for i in range(4):
+        (plain / f"pose/frame-{i}.txt").rename(plain / f"pose/frame-{i}.pose.txt")
+    with pytest.raises(
+        SequenceError, match=r"no file of its name in pose/\); pose/NAME.txt .*--odo"
+    ):
+        open_sequence(plain)
 
 
 def test_colour_of_other_names_is_left_out(plain):
@@ -535,6 +572,15 @@ def test_a_frame_wants_a_pose_of_numbers(T: np.ndarray) -> None:
     depth = np.ones((HEIGHT, WIDTH), np.float32)
     with pytest.raises(SequenceError, match=r"frame 7: T_world_camera is no \(4, 4\)"):
         Frame(7, depth, Camera(K, WIDTH, HEIGHT), T)
+
+
+def test_millimetres_are_refused() -> None:
+    depth, camera = np.full((HEIGHT, WIDTH), 1500, np.float32), Camera(K, WIDTH, HEIGHT)
+    depth[:5] = 0
+    with pytest.raises(SequenceError, match=r"frame 7: .* median of 1500; expected metres"):
+        Frame(7, depth, camera, np.eye(4))
+    depth[depth > 0] = 65.535  # a covered lens of a sensor that says so
+    assert not Frame(7, depth, camera, np.eye(4)).depth_m.any()
 
 
 def test_what_no_camera_measures_is_nothing() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import shutil
 import signal
 import sys
@@ -17,6 +18,7 @@ from rich.console import Console
 
 from composenet import cli
 from composenet import config as configuration
+from composenet.commands import track
 from composenet.commands.track import track_recording
 from composenet.errors import DeviceError
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
@@ -154,6 +156,41 @@ def test_a_configuration_can_be_passed_back_in(
     assert program(monkeypatch, *options, "--config", changed, "--out", again) == 0
     tracking = configuration.load(str(again / "config.json")).tracking
     assert tracking.lost_decay == 0.7 and tracking.offline and not tracking.use_completion
+    whole = ["--config", changed, "--variant", "full", "--out", tmp_path / "whole"]
+    assert program(monkeypatch, *options, *whole) == 0  # what is typed comes first
+    tracking = configuration.load(str(tmp_path / "whole" / "config.json")).tracking
+    assert tracking.use_completion and tracking.use_correspondences
+
+
+def test_looking_back_without_poses_is_told_of(
+    monkeypatch, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    recording = tmp_path / "recording"
+    shutil.copytree(recordings / "val_00000", recording)
+    shutil.rmtree(recording / "pose")
+    options = ["--weights", tiny_weights, "--offline", "--max-frames", "2"]
+    assert program(monkeypatch, recording, *options, "--out", tmp_path / "out") == 0
+    assert "looking back needs camera poses" in " ".join(capsys.readouterr().out.split())
+    told = json.loads((tmp_path / "out" / "tracks.json").read_text())["meta"]["warnings"]
+    assert sum("looking back needs camera poses" in line for line in told) == 1
+
+
+@pytest.mark.parametrize("wrong", ["out", "weights", "config", "device"])
+def test_what_is_wrong_is_said_before_the_recording_is_read(
+    monkeypatch, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path, wrong: str
+) -> None:
+    """Odometry takes its time."""
+
+    def read(*_: object, **__: object) -> None:
+        raise AssertionError("read")
+
+    monkeypatch.setattr(track, "open_sequence", read)
+    (tmp_path / "file").write_text("{")
+    given = {"out": tmp_path / "out", "weights": tiny_weights, "device": "cpu"}
+    given[wrong] = "cuda:99" if wrong == "device" else tmp_path / "file"
+    options = [part for name, value in given.items() for part in (f"--{name}", value)]
+    assert program(monkeypatch, recordings / "val_00000", *options, "--odometry") == 2
+    assert str(given[wrong]) in capsys.readouterr().err
 
 
 def test_a_recording_looked_back_on_is_seen_twice(

@@ -89,6 +89,21 @@ def test_a_run_goes_on_with_what_it_has_learned(recordings: Path, tmp_path: Path
     assert values[0] == pytest.approx(values[1], rel=1e-5)
 
 
+def test_a_start_that_fails_leaves_no_run_behind(
+    recordings: Path, tiny_weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Else the corrected command would go on from it, with its recipe and without its weights."""
+    run = options(tmp_path / "run", start_from=tiny_weights, max_steps=1, validation_scenes=0)
+    with pytest.raises(DataError):
+        train(CONFIG, replace(run, start_from=None), SceneSource(data_dir=tmp_path / "none"))
+    assert not (tmp_path / "run" / "checkpoint.pt").exists()
+    train(CONFIG, run, SceneSource(data_dir=recordings))
+    assert "--start-from" not in capsys.readouterr().out
+    train(None, run, SceneSource(data_dir=recordings))  # the same again goes on
+    assert "goes on from" in capsys.readouterr().out
+    assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["progress"].step == 2
+
+
 def test_a_run_does_not_go_on_with_another_recipe(tmp_path: Path) -> None:
     Trainer(CONFIG, options(tmp_path), ALONE).save()
     weights = replace(CONFIG.weights, box=2.0)

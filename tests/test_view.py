@@ -190,6 +190,20 @@ def test_contact_sheet_and_scatter() -> None:
     plots.scatter(np.zeros((0, 3)))
 
 
+def test_a_replay_that_cannot_be_written_is_no_reason_to_wait(tmp_path: Path) -> None:
+    class Stuck:
+        def flush(self, timeout_sec: float) -> None:
+            raise RuntimeError(f"not written in {timeout_sec} s")
+
+        def disconnect(self) -> None:
+            raise AssertionError("it would wait for ever")
+
+    stuck = object.__new__(replay.RerunReplay)
+    stuck._path, stuck._stream = tmp_path / "replay.rrd", Stuck()
+    with pytest.raises(DataError, match=r"replay\.rrd: cannot be written .*disk full"):
+        stuck.close()
+
+
 def test_without_rerun_the_replay_is_nothing(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     nothing = replay.open_replay(tmp_path / "replay.rrd", "s")

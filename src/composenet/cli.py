@@ -131,9 +131,10 @@ class TrackCommand:
     """stop after this many frames"""
     save_every: Count = 50
     """write what is done every N frames"""
-    variant: Variant = "full"
-    """the paper's ablations: without completion, without correspondences, or both"""
-    offline: bool = False
+    variant: Variant | None = None
+    """the paper's ablations: without completion, without correspondences, or both (default: full,
+    or as --config says)"""
+    offline: tyro.conf.FlagCreatePairsOff[bool] = False
     """look at the recording once more, backwards, and link tracks over the whole of it: every frame
     is then seen with what later ones showed (twice the time)"""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(
@@ -154,7 +155,8 @@ class TrackCommand:
             stride=self.stride,
             max_frames=self.max_frames,
             save_every=self.save_every,
-            variant=VARIANTS[self.variant] | ({"offline": True} if self.offline else {}),
+            variant=(VARIANTS[self.variant] if self.variant else {})
+            | ({"offline": True} if self.offline else {}),
             reading=self.reading,
         )
 

@@ -136,7 +136,7 @@ class OutputWriter:
         self._save(self._snapshot())
 
     def finish(self, tracks: Sequence[Track], *, complete: bool = True) -> PredictedSequence:
-        """Write everything. complete: False after an interruption.
+        """Write everything. complete: False after an interruption. Raises DataError.
 
         tracks: all of them, ended ones too, with whole histories. These replace what add_frame
         was given, so that an offline pass over the sequence is what ends up in the files.
@@ -157,10 +157,10 @@ class OutputWriter:
         run = dataclasses.replace(run, mesh_files=files, warnings=self._all_warnings())
         self._save_canonical(canonical)
         self._save(run)
-        self._replay.finish(meshes)
         timings = summarise_timings(self._timings)
         write_report(self.out_dir / REPORT, run, placed, self._pictures(run, meshes), timings)
         self._finished = True
+        self._replay.finish(meshes)
         return run
 
     def _begin(self) -> None:

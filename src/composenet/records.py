@@ -33,6 +33,10 @@ FARTHEST_M = 20.0
 """No depth camera measures farther indoors; 16 bits of millimetres end at 65.535."""
 
 
+MILLIMETRES = 100.0
+"""An image whose depth is mostly larger than this is not in metres."""
+
+
 class Symmetry(StrEnum):
     """Rotational symmetry of an object about its up axis (Scan2CAD's four kinds)."""
 
@@ -99,6 +103,11 @@ class Frame:
             raise SequenceError(
                 f"frame {self.index}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
                 "frames without a pose out, or give a levelled one and pose_known=False"
+            )
+        if (depth > MILLIMETRES).any() and np.nanmedian(depth[depth > 0]) > MILLIMETRES:
+            raise SequenceError(
+                f"frame {self.index}: depth_m has a median of {np.nanmedian(depth[depth > 0]):.0f};"
+                " expected metres, divide millimetres by 1000"
             )
         measured = (depth >= 0) & (depth <= FARTHEST_M)
         if not measured.all():

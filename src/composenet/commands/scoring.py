@@ -26,9 +26,9 @@ from composenet.records import (
 )
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "full": {},
-    "no-compl": {"use_completion": False},
-    "no-corr": {"use_correspondences": False},
+    "full": {"use_correspondences": True, "use_completion": True},
+    "no-compl": {"use_correspondences": True, "use_completion": False},
+    "no-corr": {"use_correspondences": False, "use_completion": True},
     "no-corr-no-compl": {"use_correspondences": False, "use_completion": False},
 }
 """The paper's table 1."""

@@ -17,6 +17,7 @@ from composenet.commands.terminal import say, warn
 from composenet.config import load as load_config
 from composenet.errors import DataError, DeviceError
 from composenet.predictions import PredictedSequence
+from composenet.result_folder import claim
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from composenet.records import Frame
 
 INTERRUPTED_EXIT_CODE = 130
+NO_WAY_BACK = (
+    "looking back needs camera poses: frames are looked at once and tracks only linked; "
+    "--odometry finds poses"
+)
 
 
 def track_recording(
@@ -51,7 +56,8 @@ def track_recording(
         weights_id=weights_id,
         save_every=save_every,
     )
-    told = sequence.warnings
+    notes = [NO_WAY_BACK] if tracker.looks_twice and not sequence.has_poses else []
+    told = [*sequence.warnings, *notes]
     for line in told:
         warn(console, line)
     with writer, _interruptible() as stop, progress_bar(console) as progress:
@@ -71,7 +77,7 @@ def track_recording(
             failure = _track_frames(again, back, count, tracker, _leave, progress, stop)
             tracks = tracks if stop or failure else tracker.tracks()
         progress.update(progress.task_ids[-1], note="writing meshes and report")
-        writer.warn_of_recording(sequence.warnings)
+        writer.warn_of_recording([*sequence.warnings, *notes])
         run = writer.finish(tracks, complete=not stop and failure is None)
     for line in run.warnings:
         if line not in told:
@@ -129,6 +135,16 @@ def run_track(
 ) -> int:
     """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
+    if recording.is_dir():  # else what is wrong with it comes first
+        if out.exists() and out.samefile(recording):
+            raise DataError(f"{out}: this is the recording itself; give another --out folder")
+        claim(out)
+    from composenet.network.weights import default_weights, weights_id
+    from composenet.pipeline import load_tracker
+
+    chosen = load_config(config) if config else None
+    tracker = load_tracker(weights, device=device, config=chosen, **variant)
+    name = weights_id(weights or default_weights())
     sequence = open_sequence(
         recording,
         stride=stride,
@@ -136,14 +152,6 @@ def run_track(
         options=reading,
         watch=lambda frames: watched(console, f"{recording.name}, odometry", frames),
     )
-    if out.exists() and out.samefile(recording):
-        raise DataError(f"{out}: this is the recording itself; give another --out folder")
-    from composenet.network.weights import default_weights, weights_id
-    from composenet.pipeline import load_tracker
-
-    chosen = load_config(config) if config else None
-    tracker = load_tracker(weights, device=device, config=chosen, **variant)
-    name = weights_id(weights or default_weights())
     run = track_recording(sequence, tracker, out, console, save_every=save_every, weights_id=name)
     say(console, summary(run, out))
     return 0 if run.complete else INTERRUPTED_EXIT_CODE

@@ -22,11 +22,12 @@ from composenet.sequences.source import (
     Source,
     SourceFrame,
     images_by_stem,
-    natural_key,
+    in_order,
     read_gravity,
     read_intrinsics,
     read_numbers,
     with_pose,
+    without_colour,
 )
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
@@ -67,12 +68,17 @@ def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]
     color_folder = _first(path, _COLOR_FOLDERS)
     color = images_by_stem(color_folder, COLOR_SUFFIXES)
     if not depth:
-        raise SequenceError(f"{path / 'depth'}: no depth image (*.png) in it")
+        others = sorted({p.suffix for p in (path / "depth").iterdir() if p.is_file()})
+        found = f", but {' '.join(others)}" if any(others) else ""
+        raise SequenceError(
+            f"{path / 'depth'}: no depth image (*.png, 16 bits) in it{found}; write depth as "
+            "16-bit PNG in millimetres"
+        )
     warnings: tuple[str, ...] = ()
     if color and not depth.keys() & color.keys():
         warnings = (f"{color_folder}: no file has the name of a depth image; colour left out",)
         color = {}
-    names = sorted(depth.keys() | color.keys(), key=natural_key)
+    names = in_order(depth.keys() | color.keys())
     frames = tuple(
         SourceFrame(
             index=index,
@@ -83,6 +89,8 @@ def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]
         )
         for index, name in enumerate(names)
     )
+    if color:
+        warnings = without_colour(frames, f"no file of their name in {color_folder.name}/")
     return frames, warnings
 
 
@@ -106,7 +114,7 @@ def _posed(path: Path, frame: SourceFrame) -> SourceFrame:
     if frame.problem:
         return frame
     if not path.is_file():
-        return replace(frame, problem="no pose")
+        return replace(frame, problem=f"no pose: no file of its name in {path.parent.name}/")
     try:
         return with_pose(frame, read_numbers(path, 16, "a 4x4 pose").reshape(4, 4))
     except SequenceError:

@@ -27,7 +27,7 @@ from composenet.sequences.leveling import (
 )
 from composenet.sequences.odometry import Odometry
 from composenet.sequences.options import SequenceOptions
-from composenet.sequences.source import Source, SourceFrame, make_K
+from composenet.sequences.source import Source, SourceFrame, counted, make_K
 
 _FORMATS = (tum, scannet, folder)
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
@@ -129,10 +129,9 @@ class RecordedSequence:
         """What a user should know, one line each: doubts, and counts of what was left out."""
         lines = list(self._notes)
         for what, entries in (("skipped", self._skipped), ("without colour", self._colorless)):
-            for reason, count in Counter(reason for _, reason in entries.values()).items():
-                first = next(entries[i][0] for i in sorted(entries) if entries[i][1] == reason)
-                frames = "1 frame" if count == 1 else f"{count} frames"
-                lines.append(f"{frames} {what}: {reason} ({'first ' * (count > 1)}{first})")
+            for reason in dict.fromkeys(reason for _, reason in entries.values()):
+                names = [entries[i][0] for i in sorted(entries) if entries[i][1] == reason]
+                lines.append(counted(names, f"{what}: {reason}"))
         return lines
 
     def _usable(self, frame: SourceFrame) -> bool:
@@ -271,9 +270,11 @@ class RecordedSequence:
 
     def _nothing_left(self) -> SequenceError:
         name, reason = self.skipped[0]
+        poses = all(reason.startswith(("pose", "no pose")) for _, reason in self.skipped)
+        way_out = f"; {self._source.poses_file} expected, --odometry finds poses" if poses else ""
         return SequenceError(
             f"{self._source.path}: none of its frames can be used "
-            f"({len(self._skipped)} tried; {name}: {reason})"
+            f"({len(self._skipped)} tried; {name}: {reason}){way_out}"
         )
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +141,30 @@ def images_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
         return {}
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
     return {path.stem: path for path in reversed(files)}
+
+
+def without_colour(frames: Sequence[SourceFrame], why: str) -> tuple[str, ...]:
+    """A warning where frames of a recording that has colour have none."""
+    lacking = [frame.name for frame in frames if frame.depth and not frame.color]
+    return (counted(lacking, f"without colour: {why}"),) if lacking else ()
+
+
+def counted(names: Sequence[str], what: str) -> str:
+    """`2 frames WHAT (first NAME)`."""
+    frames, first = ("1 frame", "") if len(names) == 1 else (f"{len(names)} frames", "first ")
+    return f"{frames} {what} ({first}{names[0]})"
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names of frames as they follow each other: by value where all are decimal numbers (times
+    perhaps, some with fewer digits), else `2` before `10` and `frame-2` before `frame-10`."""
+    given = list(names)
+    if all(_DECIMAL.fullmatch(name) for name in given):
+        return sorted(given, key=lambda name: (Decimal(name), name))
+    return sorted(given, key=natural_key)
+
+
+_DECIMAL = re.compile(r"\d+(\.\d+)?")
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:

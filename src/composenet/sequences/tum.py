@@ -26,6 +26,7 @@ from composenet.sequences.source import (
     read_intrinsics,
     read_text,
     with_pose,
+    without_colour,
 )
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
@@ -67,6 +68,9 @@ def read_source(path: Path) -> Source:
         poses_file="groundtruth.txt",
         depth_scale=5000.0,
         gravity=read_gravity(path),
+        warnings=without_colour(frames, f"rgb.txt has none within {MAX_GAP_S} s of them")
+        if color_files
+        else (),
     )
 
 
@@ -99,12 +103,18 @@ def _read_stream(path: Path) -> tuple[NDArray[np.float64], list[str]]:
 
 
 def _read_trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Timestamps (N,) and rows (N, 7) `tx ty tz qx qy qz qw`; lines of other shape dropped."""
-    rows = []
-    for words in _lines(path):
+    """Timestamps (N,) and rows (N, 7) `tx ty tz qx qy qz qw`; lines of other shape dropped. Raises
+    SequenceError where all are."""
+    rows, lines = [], _lines(path)
+    for words in lines:
         row = _floats(words)
         if row is not None and len(row) == 8 and np.isfinite(row[0]):
             rows.append(row)
+    if lines and not rows:
+        raise SequenceError(
+            f"{path}: none of its {len(lines)} lines is `timestamp tx ty tz qx qy qz qw`, 8 "
+            f"numbers with spaces between (the first: {' '.join(lines[0])[:80]!r})"
+        )
     table = np.array(rows).reshape(-1, 8)
     return table[:, 0], table[:, 1:]
 

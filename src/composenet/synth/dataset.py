@@ -69,7 +69,12 @@ def write_split(
     What an earlier run finished is kept; an interrupted sequence leaves nothing behind. Shows
     progress with rate and remaining time. Returns the folders. Raises DataError.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{out}: cannot write sequences here ({error.strerror}); give another --out folder"
+        ) from None
     work = partial(_write_one, split, out=out, options=options)
     return tuple(_map(work, range(start, start + count), workers, f"writing {split}"))
 

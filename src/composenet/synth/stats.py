@@ -105,7 +105,7 @@ def requirements(sequences: Iterable[SequenceDifficulty]) -> tuple[Requirement, 
         Requirement(
             "tracks of the rarest class",
             f"{classes[rarest]} ({CLASS_NAMES[rarest]})",
-            f">= {tracks:.0f}",
+            f">= {np.ceil(tracks):.0f}",
             classes[rarest] >= tracks,
         ),
         Requirement("two objects of one class", f"{pairs:.0f} %", ">= 40 %", pairs >= 40),

@@ -20,6 +20,10 @@ class StepLog:
         self.minutes, self.last = minutes, 0.0
         self.mean: dict[str, float] = {}
 
+    def say(self, line: str) -> None:
+        """One line for whoever looks on."""
+        self.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     def step(
         self,
         progress: Progress,

@@ -206,11 +206,17 @@ def train(config: TrainingConfig | None, options: RunOptions, source: SceneSourc
     options.out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(config, options, group)
     log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
+    begun_at = trainer.progress.step
+    if begun_at and options.start_from:
+        log.say(f"goes on from {trainer.checkpoint_path}; --start-from is for a new --out")
+    finished = False
     try:
         with StopRequest() as stop:
             _run(trainer, options, source, log, stop)
+        finished = True
     finally:
-        trainer.save()
+        if finished or trainer.progress.step > begun_at:
+            trainer.save()
         log.close()
         group.stop()
     return options.out / "weights.safetensors"

@@ -26,6 +26,8 @@ from composenet.view.figures import STATE_COLORS, label_of, track_color
 INSTALL_HINT = "no replay.rrd: rerun is not installed; pip install 'composenet[viz]' adds it"
 WEB_PORT, DATA_PORT = 9090, 9876
 """rerun's own: of its web viewer, and of what it shows"""
+FLUSH_S = 60.0
+"""Nothing writes longer than this but a full disk."""
 _JPEG_QUALITY = 85
 _TRAIL = 300
 """steps of a path that are shown behind the current frame"""
@@ -111,7 +113,7 @@ class RerunReplay:
     def __init__(self, path: Path, name: str) -> None:
         import rerun
 
-        self._rr = rerun
+        self._rr, self._path = rerun, path
         self._stream = rerun.RecordingStream("composenet")
         self._stream.save(path, default_blueprint=self._blueprint())
         self._stream.set_log_time_enabled(False)
@@ -155,8 +157,14 @@ class RerunReplay:
         self.close()
 
     def close(self) -> None:
-        """Write out what was logged; nothing can be added afterwards."""
-        self._stream.flush()
+        """Write out what was logged; nothing can be added afterwards. Raises DataError where it
+        cannot be written; the stream is then left alone, as it would wait for ever."""
+        try:
+            self._stream.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:
+            raise DataError(
+                f"{self._path}: cannot be written ({error}); is the disk full?"
+            ) from None
         self._stream.disconnect()
 
     def _log_camera(self, frame: Frame) -> None:
