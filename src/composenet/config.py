@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from composenet.errors import ConfigError
+from composenet.files import write_atomic
 
 _STRICT = ConfigDict(extra="forbid")
 Positive = Annotated[float, Field(gt=0)]
@@ -176,5 +177,5 @@ def load(path: Path | str, kind: type = Config) -> Any:
 
 
 def dump(config: Any, path: Path) -> None:
-    """Write the configuration as JSON."""
-    path.write_text(json.dumps(to_dict(config), indent=2) + "\n")
+    """Write the configuration as JSON, whole or not at all. Raises DataError."""
+    write_atomic(path, (json.dumps(to_dict(config), indent=2) + "\n").encode())
