@@ -579,8 +579,9 @@ def test_millimetres_are_refused() -> None:
     depth[:5] = 0
     with pytest.raises(SequenceError, match=r"frame 7: .* median of 1500; expected metres"):
         Frame(7, depth, camera, np.eye(4))
-    depth[depth > 0] = 65.535  # a covered lens of a sensor that says so
-    assert not Frame(7, depth, camera, np.eye(4)).depth_m.any()
+    for nothing in (65.535, np.inf):  # a covered lens, as sensors say it
+        depth[depth > 0] = nothing
+        assert not Frame(7, depth, camera, np.eye(4)).depth_m.any()
 
 
 def test_what_no_camera_measures_is_nothing() -> None:

@@ -104,13 +104,14 @@ class Frame:
                 f"frame {self.index}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
                 "frames without a pose out, or give a levelled one and pose_known=False"
             )
-        if (depth > MILLIMETRES).any() and np.nanmedian(depth[depth > 0]) > MILLIMETRES:
-            raise SequenceError(
-                f"frame {self.index}: depth_m has a median of {np.nanmedian(depth[depth > 0]):.0f};"
-                " expected metres, divide millimetres by 1000"
-            )
         measured = (depth >= 0) & (depth <= FARTHEST_M)
         if not measured.all():
+            finite = depth[(depth > 0) & (depth < np.inf)]
+            if len(finite) and np.median(finite) > MILLIMETRES:
+                raise SequenceError(
+                    f"frame {self.index}: depth_m has a median of {np.median(finite):.0f}; "
+                    "expected metres, divide millimetres by 1000"
+                )
             object.__setattr__(self, "depth_m", np.where(measured, depth, 0).astype(depth.dtype))
 
 

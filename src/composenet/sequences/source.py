@@ -18,6 +18,7 @@ from composenet.records import FloatArray
 _MAX_POSE_NUMBER = 1e9  # metres; larger ones overflow sooner or later
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+_DECIMAL = re.compile(r"\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -162,9 +163,6 @@ def in_order(names: Iterable[str]) -> list[str]:
     if all(_DECIMAL.fullmatch(name) for name in given):
         return sorted(given, key=lambda name: (Decimal(name), name))
     return sorted(given, key=natural_key)
-
-
-_DECIMAL = re.compile(r"\d+(\.\d+)?")
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
