@@ -17,6 +17,7 @@ import tyro
 from safetensors import safe_open
 
 from composenet.commands.scoring import WAYS
+from composenet.config import flat
 from composenet.network.weights import default_weights, load_weights, weights_id
 from composenet.records import CLASS_NAMES
 
@@ -67,7 +68,7 @@ def about(path: Path) -> str:
     rows = {
         "file": f"`{weights_id(path)}`, {path.stat().st_size / 1e6:.1f} MB",
         "parameters": f"{parameters / 1e6:.2f} million, stored in half precision",
-        **{f"made with: {name}": value for name, value in _flat(notes).items()},
+        **{f"made with: {name}": value for name, value in flat(notes).items()},
     }
     with safe_open(path, framework="pt") as file:
         config = json.dumps(json.loads(file.metadata()["config"]), indent=2)
@@ -162,15 +163,6 @@ def _number(value: float | None) -> str:
     if isinstance(value, int):
         return str(value)
     return f"{value:.1f}" if abs(value) >= 2 else f"{value:.2f}"
-
-
-def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested names joined by dots."""
-    result: dict[str, Any] = {}
-    for name, value in data.items():
-        nested = isinstance(value, Mapping)
-        result |= _flat(value, f"{prefix}{name}.") if nested else {prefix + name: value}
-    return result
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

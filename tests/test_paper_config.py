@@ -6,11 +6,10 @@ import dataclasses
 import json
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from composenet.config import TrackingConfig, to_dict
+from composenet.config import TrackingConfig, flat, to_dict
 from composenet.errors import ConfigError
 from composenet.training.config import TrainingConfig, training_config
 from composenet.training.loop import Trainer, learning_rate
@@ -50,14 +49,6 @@ NOT_THE_PAPERS = {
     "model.tracking.min_confidence": 0.0,
     "model.tracking.still_share": 0.0,
 }
-
-
-def flat(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    parts = [
-        flat(v, f"{prefix}{k}.") if isinstance(v, dict) else {prefix + k: v}
-        for k, v in data.items()
-    ]
-    return {name: value for part in parts for name, value in part.items()}
 
 
 def test_it_says_what_the_paper_says() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -149,6 +150,15 @@ class Config:
 def to_dict(config: Any) -> dict[str, Any]:
     """Plain dictionary of any configuration dataclass."""
     return dataclasses.asdict(config)
+
+
+def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested names joined by dots."""
+    result: dict[str, Any] = {}
+    for name, value in data.items():
+        nested = isinstance(value, Mapping)
+        result |= flat(value, f"{prefix}{name}.") if nested else {prefix + name: value}
+    return result
 
 
 def from_dict(data: dict[str, Any], kind: type = Config) -> Any:

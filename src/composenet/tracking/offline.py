@@ -16,6 +16,7 @@ from composenet.records import FloatArray, Track, TrackedObject, TrackState
 from composenet.tracking.affinity import canonical_iou, coarse
 from composenet.tracking.assignment import assign
 from composenet.tracking.association import reach_m
+from composenet.tracking.tracklet import decay
 
 
 def in_order_of_time(track: Track, config: TrackingConfig) -> Track:
@@ -30,9 +31,8 @@ def in_order_of_time(track: Track, config: TrackingConfig) -> Track:
             absent = bool(history) and not history[-1].observed
             entry = replace(entry, state=TrackState.RE_FOUND if absent else TrackState.TRACKED)
         else:
-            lost = entry.state is TrackState.LOST
-            decay = config.lost_decay if lost else config.occluded_decay
-            entry = replace(entry, confidence=decay * history[-1].confidence)
+            confidence = decay(entry.state, config) * history[-1].confidence
+            entry = replace(entry, confidence=confidence)
         history.append(entry)
     return replace(track, history=tuple(history))
 

@@ -51,6 +51,11 @@ def mean_box(old: Box, new: Box, share: float) -> Box:
     )
 
 
+def decay(unseen: TrackState, config: TrackingConfig) -> float:
+    """The factor on the confidence for a frame in which a track is LOST, or else."""
+    return config.lost_decay if unseen is TrackState.LOST else config.occluded_decay
+
+
 class Tracklet:
     """Mutable; owned by one Tracker. Born from a proposal, then told of every frame either
     that it was seen (`observe`) or that it was not (`miss`).
@@ -109,8 +114,8 @@ class Tracklet:
         lost = view.expected >= config.expected_visible_share
         self._misses += 1
         self._visible_misses += lost
-        self._confidence *= config.lost_decay if lost else config.occluded_decay
         self.state = TrackState.LOST if lost else TrackState.OCCLUDED
+        self._confidence *= decay(self.state, config)
         if (
             self._misses >= config.end_after_frames
             or self._visible_misses >= config.end_after_visible_misses

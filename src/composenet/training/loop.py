@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
-from composenet.config import to_dict
+from composenet.config import flat, to_dict
 from composenet.errors import ComposenetError, DataError, WeightsError
 from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
@@ -156,22 +156,13 @@ def _refuse_other(asked: TrainingConfig | None, own: TrainingConfig, path: Path)
     """Raises WeightsError where a run is to go on with another configuration than its own."""
     if asked is None or asked == own:
         return
-    there, here = _flat(to_dict(own)), _flat(to_dict(asked))
+    there, here = flat(to_dict(own)), flat(to_dict(asked))
     name = next(key for key in here if here[key] != there[key])
     raise WeightsError(
         f"{path}: a run has begun here with another configuration ({name} is {there[name]}, not "
         f"{here[name]}); leave --config out to go on with it, or begin anew from its weights with "
         "--start-from and another --out"
     )
-
-
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """{"a.b": value} of nested dictionaries."""
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        inner = isinstance(value, dict)
-        flat |= _flat(value, f"{prefix}{key}.") if inner else {f"{prefix}{key}": value}
-    return flat
 
 
 @contextmanager
