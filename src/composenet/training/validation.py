@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 
 from composenet.detection import Proposals, propose, second_look
 from composenet.geometry.aligned_boxes import pairwise_iou
+from composenet.metrics.detection import UNMATCHED, match_greedily, outcomes
+from composenet.metrics.records import COUNTED_PIXELS, ScoredFrame
 from composenet.network.model import ComposeNet
 from composenet.training.config import TrainingConfig
 from composenet.training.losses import box_losses, detection_losses, object_losses
 from composenet.training.proposals import chosen_objects, training_boxes
 from composenet.training.silent import watched
 from composenet.training.targets import TrainingBatch
-
-COUNTED_PIXELS = 150
 
 
 @torch.no_grad()
@@ -72,20 +73,23 @@ def validate(
 
 
 def _count(proposals: Sequence[Proposals], batch: TrainingBatch) -> torch.Tensor:
-    """Found, true, proposed, found with the right class, found at IoU 0.5."""
+    """Found, true, proposed, found with the right class, found at IoU 0.5. As in `composenet eval`
+    each proposal finds one object, and objects of few pixels are neither missed nor proposed
+    falsely."""
     found = true = proposed = right = tight = 0
     for index, p in enumerate(proposals):
-        rows = (batch.frame == index) & (batch.visible_pixels >= COUNTED_PIXELS)
-        true += int(rows.sum())
-        proposed += len(p.center)
-        if not len(p.center) or not rows.any():
-            continue
-        best, which = pairwise_iou(
-            batch.center[rows], batch.extents[rows], p.center, p.extents
-        ).max(dim=1)
-        hit = best >= 0.25
-        found += int(hit.sum())
-        tight += int((best >= 0.5).sum())
-        same = p.class_probabilities[which].argmax(dim=1) == batch.class_id[rows]
-        right += int((hit & same).sum())
+        rows = batch.frame == index
+        iou = pairwise_iou(batch.center[rows], batch.extents[rows], p.center, p.extents)
+        few = (batch.visible_pixels[rows] < COUNTED_PIXELS).numpy(force=True)
+        frame = ScoredFrame(iou.numpy(force=True), p.score.numpy(force=True), few)
+        loose = outcomes([frame], 0.25)
+        true += loose.truths
+        proposed += len(loose.correct)
+        found += int(loose.correct.sum())
+        tight += int(outcomes([frame], 0.5).correct.sum())
+        taken = match_greedily(frame, 0.25)
+        hit = np.flatnonzero(taken != UNMATCHED)
+        hit = hit[~few[taken[hit]]]
+        told = p.class_probabilities.argmax(dim=1).numpy(force=True)
+        right += int((told[hit] == batch.class_id[rows].numpy(force=True)[taken[hit]]).sum())
     return torch.tensor([found, true, proposed, right, tight], dtype=torch.float32)
