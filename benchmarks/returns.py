@@ -75,9 +75,10 @@ def main(
     cases = chosen(found[one], found[other])
     if cases:
         sheet(cases, {one: kept[one], other: kept[other]}).save(image, quality=85)
+    command = f"python benchmarks/returns.py {scores} --data {data}"
     result = {
         **{key: run[key] for key in ("data", "commit", "seed", "weights", "hardware", "date")},
-        "command": f"python benchmarks/returns.py {scores} --data {data}",
+        "command": f"{command} --one {one} --other {other}",
         "sequences": len(folders),
         "objects": sum(counted_objects(folder) for folder in folders),
         "objects_that_return": sum(len({r.gt_id for r in own}) for own in found[one].values()),

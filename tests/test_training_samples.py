@@ -218,11 +218,16 @@ def test_recall_precision_and_classes_by_hand(
 ) -> None:
     """Of four chairs with enough pixels one is found, one found by half (IoU 1/3) and taken for
     something else, two are only where another frame has a proposal; a fifth, which is too small
-    to count, is found too. The first is proposed twice."""
+    to count, is found too. The first is proposed twice. Of two that overlap one proposal finds
+    one."""
     batch = collate_samples(
-        [frame_of([8.0], [500]), frame_of([0.0, 2.0, 4.0, 6.0], [500, 500, 150, 149])]
+        [
+            frame_of([8.0], [500]),
+            frame_of([0.0, 2.0, 4.0, 6.0], [500, 500, 150, 149]),
+            frame_of([0.0, 0.05], [500, 500]),
+        ]
     )
-    other, exact, half, missed, small = batch.center
+    other, exact, half, missed, small, near, _ = batch.center
     half = half + torch.tensor([0.0, 0.5, 0.0]) * batch.extents[0]
     far = exact + 50
     found = (
@@ -230,11 +235,12 @@ def test_recall_precision_and_classes_by_hand(
         proposals_at(
             torch.stack([far, half, exact, other, small, exact]), batch.extents, [4, 2, 4, 4, 4, 4]
         ),
+        proposals_at(near[None], batch.extents, [4]),
     )
     monkeypatch.setattr(validation, "propose", lambda *_: found)
     monkeypatch.setattr(validation, "second_look", lambda *given: given[3])
     figures = validate(network, [batch], CONFIG, torch.device("cpu"))
-    expected = {"recall25": 2 / 4, "recall50": 1 / 4, "precision25": 2 / 6, "class_accuracy": 1 / 2}
+    expected = {"recall25": 3 / 6, "recall50": 2 / 6, "precision25": 3 / 7, "class_accuracy": 2 / 3}
     assert {name: figures[name] for name in expected} == pytest.approx(expected)
 
 
