@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from rich.console import Console
+from scipy import ndimage
 
 from composenet.errors import DataError
 from composenet.predictions import FrameRecord, PredictedSequence
@@ -81,6 +82,29 @@ def test_an_unsure_shape_has_the_mesh_of_a_sure_one() -> None:
     sure, unsure = meshes.canonical_mesh(shape), meshes.canonical_mesh(0.4 * shape)
     assert sure is not None and unsure is not None and unsure.is_watertight
     np.testing.assert_allclose(unsure.bounds, sure.bounds, atol=1e-6)
+
+
+def test_legs_that_nobody_is_sure_of_are_kept() -> None:
+    """A board with a leg of a third of its certainty, two cells thick, blurred as a network's
+    guess is, and all of it in a haze that is no part of it."""
+    shape = 0.15 * np.exp(-4 * (centres() ** 2).sum(axis=-1))
+    shape[12:52, 12:52, 40:44] = 1
+    shape[20:22, 20:22, 8:40] = 0.3
+    mesh = meshes.canonical_mesh(ndimage.gaussian_filter(shape, 0.5))
+    assert mesh is not None and mesh.is_watertight
+    assert mesh.bounds[0, 2] == pytest.approx(8 / 64 - 0.5, abs=1 / 64)
+    below = mesh.vertices[mesh.vertices[:, 2] < -0.1]
+    np.testing.assert_allclose(below[:, :2].mean(axis=0), 21 / 64 - 0.5, atol=0.5 / 64)
+    np.testing.assert_allclose(np.ptp(below[:, :2], axis=0), 2 / 64, atol=1 / 64)
+
+
+@pytest.mark.parametrize("blur_cells", [0.5, 1.0, 2.0])
+def test_a_thick_part_is_as_large_as_where_it_is_half_sure(blur_cells: float) -> None:
+    shape = np.zeros((64, 64, 64), dtype=np.float32)
+    shape[16:48, 16:48, 20:40] = 1
+    mesh = meshes.canonical_mesh(ndimage.gaussian_filter(shape, blur_cells))
+    assert mesh is not None
+    np.testing.assert_allclose(mesh.extents, np.array([32, 32, 20]) / 64, atol=0.5 / 64)
 
 
 def test_saved_meshes_load_back(tmp_path: Path) -> None:

@@ -51,7 +51,9 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
-    The box is as large as the detector says and stands where the pose says, which errs less.
+    The box is as large as the detector says and stands where the pose says, which errs less. Along
+    the object's own axes it is as long and wide as the completed cells reach, and as high as the
+    detector says: of legs few cells are sure.
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl.").
     """
@@ -146,7 +148,7 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
         box=box,
         S_world_canonical=similarity,
         pose_observable=bool(found.fit.observable[i]),
-        extents_m=2 * np.abs(local).max(axis=0) + cell_m.mean(),
+        extents_m=np.append(np.ptp(local[:, :2], axis=0) + cell_m.mean() / 2, box.extents[2]),
         points_world=points_world.astype(np.float32),
         canonical=found.canonical[i].cpu().numpy(),
     )

@@ -17,10 +17,17 @@ from trimesh.visual.material import PBRMaterial
 from composenet.files import write_atomic
 from composenet.records import FloatArray, Similarity, Track, TrackedObject
 
-LEVEL = 0.5
+SURE = 0.5
 """a cell at least this share as sure as the surest one is inside. The paper binarises at 0.5; of
 thin shapes seen seldom no cell may get so far"""
-MIN_COMPONENT_SHARE = 0.05
+FAINT = 0.15
+"""a cell less sure than this is never inside; between the two one is where it stands out"""
+STANDS_OUT = 1.3
+"""from its surroundings: so many times as sure as their weighted mean. Where a chair's legs are is
+seldom sure, but surer than that they are beside it"""
+AROUND_CELLS = 1.5
+"""standard deviation of the surroundings' Gaussian weights"""
+MIN_COMPONENT_SHARE = 0.005
 """separate pieces smaller than this share of the largest one are dropped"""
 
 _Z_UP_TO_Y_UP = np.array(
@@ -28,8 +35,10 @@ _Z_UP_TO_Y_UP = np.array(
 )
 
 
-def canonical_mesh(canonical: FloatArray) -> trimesh.Trimesh | None:
+def canonical_mesh(canonical: FloatArray, faint: float = FAINT) -> trimesh.Trimesh | None:
     """Closed surface of a canonical reconstruction, in canonical coordinates.
+
+    Its level differs from cell to cell (faint to SURE): legs are kept and flat parts do not swell.
 
     canonical: (N, N, N) in 0..1 over [-0.5, 0.5]^3. The grid is padded by one empty cell, so
     shapes that touch its edge are closed there. None when all cells are 0.
@@ -37,10 +46,13 @@ def canonical_mesh(canonical: FloatArray) -> trimesh.Trimesh | None:
     if not canonical.any():
         return None
     canonical = canonical / canonical.max()
-    inside = _large_components(canonical >= LEVEL)
-    sure = np.where(inside, np.maximum(canonical, 0.52), np.minimum(canonical, 0.48))
-    sure[~inside & (canonical >= LEVEL)] = 0.0
-    mesh = _marching_cubes(sure)
+    around = ndimage.gaussian_filter(canonical, AROUND_CELLS)
+    level = np.clip(STANDS_OUT * around, faint, SURE)
+    field = np.minimum(canonical * (SURE / level), 1.0)
+    inside = _large_components(field >= SURE)
+    closed = np.where(inside, np.maximum(field, 0.52), np.minimum(field, 0.48))
+    closed[~inside & (field >= SURE)] = 0.0
+    mesh = _marching_cubes(closed)
     if not mesh.is_watertight:  # cells that touch along an edge only: halve them
         mesh = _marching_cubes(np.kron(inside, np.ones((2, 2, 2))))
     return mesh
@@ -49,7 +61,7 @@ def canonical_mesh(canonical: FloatArray) -> trimesh.Trimesh | None:
 def _marching_cubes(field: FloatArray) -> trimesh.Trimesh:
     cells = field.shape[0]
     padded = np.pad(np.asarray(field, dtype=np.float32), 1)
-    vertices, faces, _, _ = marching_cubes(padded, LEVEL)
+    vertices, faces, _, _ = marching_cubes(padded, SURE)
     mesh = trimesh.Trimesh((vertices - 0.5) / cells - 0.5, faces)
     if mesh.volume < 0:
         mesh.invert()
