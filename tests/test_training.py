@@ -25,7 +25,13 @@ from composenet.synth.scene import generate_scene
 from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig
-from composenet.training.data import SceneSource, SceneStream, crop_view, samples_of_scene
+from composenet.training.data import (
+    SceneSource,
+    SceneStream,
+    crop_view,
+    random_window,
+    samples_of_scene,
+)
 from composenet.training.disk import disk_scene
 from composenet.training.loop import Trainer, learning_rate, train
 from composenet.training.processes import StopRequest
@@ -278,7 +284,7 @@ def test_some_cameras_look_aside_in_training_alone(monkeypatch: pytest.MonkeyPat
 
 def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None:
     whole = disk_scene(recordings, 0).render(0)
-    view, ids = crop_view(whole.frame, whole.ids, np.random.default_rng(0))
+    view, ids = crop_view(whole.frame, whole.ids, random_window(np.random.default_rng(0)))
     kept = view.depth_m > 0
     np.testing.assert_array_equal(ids[kept], whole.ids[kept])
     left = np.flatnonzero(kept.any(axis=0))
@@ -286,6 +292,31 @@ def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None
     assert 0 < kept.sum() < (whole.frame.depth_m > 0).sum()
     np.testing.assert_array_equal(view.depth_m[kept], whole.frame.depth_m[kept])
     np.testing.assert_array_equal(view.camera.K, whole.frame.camera.K)
+
+
+def test_a_narrow_walk_shows_the_same_window_of_every_image(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that nothing remembered shows where an object ends that is cut by it."""
+    seen = []
+
+    def noted(frame, config, ids, memory):
+        seen.append(frame.depth_m > 0)
+
+    for name in ("voxelize", "remember"):
+        monkeypatch.setattr(data, name, noted)
+    scene, rng = disk_scene(recordings, 0), np.random.default_rng(0)
+    whole = np.any([scene.render(i).frame.depth_m > 0 for i in range(scene.n_frames)], axis=0)
+    for share, least in ((0.0, 0.95), (1.0, 0.2)):
+        seen.clear()
+        monkeypatch.setattr(data, "NARROW_WALKS", share)
+        assert not list(samples_of_scene(scene, CONFIG, rng))
+        together = np.any(seen, axis=0)
+        assert len(seen) > 1 and least < together.sum() / whole.sum() <= 1
+    rows, columns = np.flatnonzero(together.any(axis=1)), np.flatnonzero(together.any(axis=0))
+    height, width = whole.shape
+    assert 0.4 < len(columns) / width < 0.96 and 0.4 < len(rows) / height < 0.96
+    assert columns[-1] - columns[0] < 0.96 * width and rows[-1] - rows[0] < 0.96 * height
 
 
 @pytest.mark.parametrize("generated", [True, False])

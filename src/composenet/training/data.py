@@ -37,6 +37,12 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
+NARROW_WALKS = 0.25
+"""Share of the scenes of which a window of every image is seen, the same all along. A window of one
+image leaves what others of the walk saw of an object; of a large one before a close camera, no
+image shows where it ends."""
+NARROW_FRAMES = 0.3
+"""Share of the frames of other scenes of which a window is seen."""
 POOL_FRAMES = 512
 """A worker mixes so many frames, of dozens of scenes, once its pool is full; half a gigabyte."""
 
@@ -75,13 +81,14 @@ def samples_of_scene(
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
+    narrow = random_window(rng) if augment and rng.random() < NARROW_WALKS else None
     for place, i in enumerate(times):
         rendered = scene.render(i, color=False)
         frame, ids = rendered.frame, rendered.ids
         if augment:
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
-            if rng.random() < 0.3:
-                frame, ids = crop_view(frame, ids, rng)
+            if narrow or rng.random() < NARROW_FRAMES:
+                frame, ids = crop_view(frame, ids, narrow or random_window(rng))
         if place not in taken:
             remember(frame, config.model.volume, ids, memory)
             continue
@@ -129,15 +136,25 @@ def small_motion(rng: np.random.Generator) -> NDArray[np.float64]:
     return make_T(turn, 0.008 * rng.standard_normal(3))
 
 
-def crop_view(frame: Frame, ids: np.ndarray, rng: np.random.Generator) -> tuple[Frame, np.ndarray]:
-    """Blank depth and ids outside a random window: narrower views, objects cut by the border, and
+Window = tuple[float, float, float, float]
+"""Left, top, width and height, as shares of an image's."""
+
+
+def random_window(rng: np.random.Generator) -> Window:
+    """At least half as wide and half as high as the image."""
+    w, h = rng.uniform(0.5, 0.95, 2)
+    u, v = rng.uniform(0, 1 - w), rng.uniform(0, 1 - h)
+    return float(u), float(v), float(w), float(h)
+
+
+def crop_view(frame: Frame, ids: np.ndarray, window: Window) -> tuple[Frame, np.ndarray]:
+    """Blank depth and ids outside a window: a narrower view, objects cut by its border, and
     some that are not seen at all."""
     height, width = frame.depth_m.shape
-    w, h = int(width * rng.uniform(0.5, 0.95)), int(height * rng.uniform(0.5, 0.95))
-    u, v = rng.integers(0, width - w + 1), rng.integers(0, height - h + 1)
-    window = np.s_[v : v + h, u : u + w]
+    u, v, w, h = (np.array(window) * (width, height, width, height)).round().astype(int)
+    inside = np.s_[v : v + h, u : u + w]
     depth, left = np.zeros_like(frame.depth_m), np.zeros_like(ids)
-    depth[window], left[window] = frame.depth_m[window], ids[window]
+    depth[inside], left[inside] = frame.depth_m[inside], ids[inside]
     camera = Camera(frame.camera.K, width, height)
     return replace(frame, depth_m=depth, camera=camera), left
 
