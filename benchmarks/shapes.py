@@ -36,7 +36,7 @@ from composenet.process import worker_pool
 from composenet.records import CLASS_NAMES, TrackedObject
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
-from composenet.view.meshes import FAINT, SURE, canonical_mesh, last_observed, place
+from composenet.view.meshes import FAINT, SURE, canonical_mesh, place
 
 NEAR_M = 0.05
 LEVELS = {"meshes": FAINT, "meshes_at_half": SURE}
@@ -110,13 +110,13 @@ def shapes_of(folder: Path, weights: Path) -> ShapesOf:
     truths = posed_truths(moved_truth(read_truth(folder), sequence.T_level_source))
     result = ShapesOf({name: [] for name in LEVELS}, [])
     for track in tracker.tracks():
-        seen = [entry for entry in track.history if entry.observed]
-        for entry in seen:
-            gt = object_of(entry, truths[place_of[entry.frame_index]])
-            if gt is not None:
-                result.sizes.append((track.class_id, size_error(entry, gt)))
-        last = last_observed(track.history) if seen else None
-        gt = object_of(last, truths[place_of[last.frame_index]]) if last else None
+        seen = [
+            (entry, object_of(entry, truths[place_of[entry.frame_index]]))
+            for entry in track.history
+            if entry.observed
+        ]
+        result.sizes.extend((track.class_id, size_error(entry, gt)) for entry, gt in seen if gt)
+        last, gt = seen[-1] if seen else (None, None)
         if last is None or gt is None:
             continue
         for name, level in LEVELS.items():
@@ -184,7 +184,9 @@ def main(
     rows["sizes"] = size_rows([error for one in ordered for error in one.sizes])
     print(json.dumps(rows, indent=2))
     if out is not None:
-        info = RunInfo(data.name, 0, f"python benchmarks/shapes.py {data}", weights_id(path))
+        info = RunInfo(
+            data.resolve().name, 0, f"python benchmarks/shapes.py {data}", weights_id(path)
+        )
         out.write_text(json.dumps(asdict(info) | rows, indent=2) + "\n")
 
 

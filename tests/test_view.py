@@ -85,11 +85,11 @@ def test_an_unsure_shape_has_the_mesh_of_a_sure_one() -> None:
 
 
 def test_legs_that_nobody_is_sure_of_are_kept() -> None:
-    """A board with a leg of a third of its certainty, two cells thick, blurred as a network's
+    """A board with a leg of half its certainty, two cells thick, blurred as a network's
     guess is, and all of it in a haze that is no part of it."""
-    shape = 0.15 * np.exp(-4 * (centres() ** 2).sum(axis=-1))
+    shape = 0.22 * np.exp(-4 * (centres() ** 2).sum(axis=-1))
     shape[12:52, 12:52, 40:44] = 1
-    shape[20:22, 20:22, 8:40] = 0.3
+    shape[20:22, 20:22, 8:40] = 0.45
     mesh = meshes.canonical_mesh(ndimage.gaussian_filter(shape, 0.5))
     assert mesh is not None and mesh.is_watertight
     assert mesh.bounds[0, 2] == pytest.approx(8 / 64 - 0.5, abs=1 / 64)

@@ -52,8 +52,8 @@ def estimate_objects(
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
     The box is as large as the detector says and stands where the pose says, which errs less. Along
-    the object's own axes it is as long and wide as the completed cells reach, and as high as the
-    detector says: of legs few cells are sure.
+    the object's own axes it is as long and wide as the completed cells' centres reach and half a
+    cell (least biased on validation), and as high as the detector says: of legs few cells are sure.
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl.").
     """
