@@ -351,17 +351,20 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     assert numbers(together)["offline"] != alone
 
 
+@pytest.mark.parametrize(
+    ("way", "variant"), [("offline", "full"), ("offline-no-corr-no-compl", "no-corr-no-compl")]
+)
 def test_looking_back_is_scored_as_it_is_written(
-    run, recordings: Path, tiny_weights: Path, tmp_path: Path
+    run, recordings: Path, tiny_weights: Path, tmp_path: Path, way: str, variant: str
 ) -> None:
     scores, written = tmp_path / "scores", tmp_path / "written"
     common, tracks = ["eval", "--data", recordings], tmp_path / "tracks"
-    assert run(*common, "--out", scores, "--weights", tiny_weights, "--variants", "offline") == 0
+    assert run(*common, "--out", scores, "--weights", tiny_weights, "--variants", way) == 0
     for name in ("val_00000", "val_00001"):
-        options = ["--weights", tiny_weights, "--offline", "--out", tracks / name]
-        assert run("track", recordings / name, *options) == 0
+        options = ["--weights", tiny_weights, "--offline", "--variant", variant]
+        assert run("track", recordings / name, *options, "--out", tracks / name) == 0
     assert run(*common, "--out", written, "--predictions", tracks) == 0
-    ours, theirs = numbers(scores)["offline"], numbers(written)["predictions"]
+    ours, theirs = numbers(scores)[way], numbers(written)["predictions"]
     keys = ("mota_mean", "mota_pooled", "mota_per_class", "id_switches", "idf1", "hota")
     assert [ours[key] for key in keys] == [theirs[key] for key in keys]
     assert ours["mota_pooled"] != 0

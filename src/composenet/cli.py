@@ -170,8 +170,8 @@ class Eval:
     out: Path
     """folder for results.json and results.md; finished sequences are kept there"""
     variants: str = "full"
-    """comma-separated: full, no-compl, no-corr, no-corr-no-compl, and offline: the full system as
-    `track --offline` runs it, whose frames see into the future"""
+    """comma-separated: full, no-compl, no-corr, no-corr-no-compl, and as `track --offline` runs
+    them, whose frames see into the future: offline, offline-no-compl, and so on"""
     predictions: Path | None = None
     """score these result folders of `track` instead of tracking"""
     weights: Path | None = None

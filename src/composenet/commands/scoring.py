@@ -33,8 +33,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 """The paper's table 1."""
 
-WAYS: dict[str, dict[str, Any]] = {**VARIANTS, "offline": {"offline": True}}
-"""The variants, which see nothing to come, and the full system looking back."""
+WAYS: dict[str, dict[str, Any]] = VARIANTS | {
+    "offline" if name == "full" else f"offline-{name}": {**options, "offline": True}
+    for name, options in VARIANTS.items()
+}
+"""The variants, which see nothing to come, and each of them looking back, as the paper does."""
 
 
 @dataclass(frozen=True)
