@@ -14,7 +14,7 @@ import numpy as np
 from composenet.baselines.association import mask_iou
 from composenet.baselines.records import InstanceMasks
 from composenet.metrics.detection import average_precision, mean_over_classes, outcomes
-from composenet.metrics.records import COUNTED_PIXELS, ScoredFrame
+from composenet.metrics.records import ScoredFrame, counted_pixels
 from composenet.records import CLASS_NAMES
 
 THRESHOLDS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
@@ -37,8 +37,7 @@ class MaskScores:
 def scored_classes(truth: InstanceMasks, found: InstanceMasks) -> tuple[ScoredFrame, ...]:
     """One frame, class by class in their order."""
     height, width = truth.masks.shape[1:]
-    least = COUNTED_PIXELS * height * width / (320 * 240)
-    ignored = truth.masks.sum(axis=(1, 2)) < least
+    ignored = truth.masks.sum(axis=(1, 2)) < counted_pixels(width, height)
     overlap = mask_iou(truth.masks, found.masks)
     result = []
     for class_id in range(len(CLASS_NAMES)):

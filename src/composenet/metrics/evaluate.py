@@ -14,7 +14,7 @@ from composenet.metrics.hota import HotaScores, hota_scores
 from composenet.metrics.identity import IdentityScores, identity_scores
 from composenet.metrics.objects import ObjectScores, PosedTruth, join_outcomes, score_objects
 from composenet.metrics.pose import PoseScores, pose_scores
-from composenet.metrics.records import COUNTED_PIXELS, FrameEvaluation, TrackingFrame
+from composenet.metrics.records import FrameEvaluation, TrackingFrame, counted_pixels
 from composenet.records import (
     CLASS_NAMES,
     Frame,
@@ -26,8 +26,6 @@ from composenet.records import (
 
 SEEN_STATES = (TrackState.TRACKED, TrackState.RE_FOUND)
 """a track claims an object only in frames in which it says that it sees it"""
-
-_REFERENCE_AREA = 320 * 240
 
 
 @dataclass(frozen=True)
@@ -138,8 +136,7 @@ def posed_truths(truth: SequenceTruth) -> list[list[PosedTruth]]:
     """Every frame's objects with their constant part, and whether they are ignored: with fewer
     than 150 visible pixels at 320x240, scaled by the image's area. Raises DataError."""
     objects = {item.gt_id: item for item in truth.objects}
-    width, height = truth.image_size
-    needed = COUNTED_PIXELS * width * height / _REFERENCE_AREA
+    needed = counted_pixels(*truth.image_size)
     result = []
     for index, frame in enumerate(truth.frames):
         for placed in frame:

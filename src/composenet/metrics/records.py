@@ -15,6 +15,11 @@ COUNTED_PIXELS = 150
 """object-frames with fewer visible pixels are ignored, at 320x240"""
 
 
+def counted_pixels(width: int, height: int) -> float:
+    """COUNTED_PIXELS in an image of this size, scaled by its area."""
+    return COUNTED_PIXELS * width * height / (320 * 240)
+
+
 @dataclass(frozen=True)
 class FrameEvaluation:
     """True and predicted objects of one frame, as the tracking metrics see them.

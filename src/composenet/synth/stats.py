@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from composenet.geometry.transform import angle_between_deg
+from composenet.metrics.records import counted_pixels
 from composenet.records import CLASS_NAMES, FloatArray, SequenceTruth
 
-MIN_VISIBLE_PIXELS = 150  # of 320x240
 _VANISH_FRAMES = 3
 
 
@@ -51,10 +51,9 @@ class Requirement:
 
 def difficulty(truth: SequenceTruth, T_world_camera: FloatArray) -> SequenceDifficulty:
     """Measure one sequence. T_world_camera: (F, 4, 4)."""
-    least = MIN_VISIBLE_PIXELS * truth.image_size[0] * truth.image_size[1] / (320 * 240)
     pixels = np.array([[o.visible_pixels for o in frame] for frame in truth.frames])
     fraction = np.array([[o.visible_fraction for o in frame] for frame in truth.frames])
-    counted = pixels >= least
+    counted = pixels >= counted_pixels(*truth.image_size)
     seen: NDArray[np.bool_] = np.any(counted, axis=0)
     moves = [
         _step(before[k].T_world_object, now[k].T_world_object)
