@@ -412,6 +412,59 @@ def test_on_the_way_back_no_frame_is_missed_twice(gone):
     np.testing.assert_allclose(np.divide(unseen[1:], unseen[:-1]), CONFIG.lost_decay)
 
 
+def looked_back(stream, back, config=CONFIG):
+    """Tracks of a list of (Frame, estimates), looked at backwards with other estimates."""
+    tracker, _ = run(stream, replace(config, offline=True))
+    tracker.turn_back()
+    for index, (view, _) in reversed(list(enumerate(stream))):
+        tracker.update(replace(view, index=index), back[index])
+    return tracker.tracks()
+
+
+def seen_by(track):
+    return [entry.frame_index for entry in track.history if entry.observed]
+
+
+GONE = (AWAY, [])
+
+
+def test_what_was_known_on_the_way_there_is_known_on_the_way_back():
+    """A chair that comes back elsewhere keeps its id by its shape. Seen backwards its shape at
+    first says nothing, but that frame showed it there."""
+    here, there = [thing(3, -0.5)], [thing(3, 0.5)]
+    at = [(frame(0, [e.box for e in shown]), shown) for shown in (here, there)]
+    stream = [at[0]] * 4 + [GONE] * 3 + [at[1]] * 4
+    back = [[thing(3, -0.5, canonical=EMPTY)]] * 4 + [[]] * 3 + [there] * 4
+    (chair,) = looked_back(stream, back)
+    assert chair.track_id == 1 and seen_by(chair) == [0, 1, 2, 3, 7, 8, 9, 10]
+    back[:4] = [[thing(3, -0.5, class_id=TABLE)]] * 4  # which is not what that frame showed
+    assert [seen_by(track) for track in looked_back(stream, back)] == [[7, 8, 9, 10], [0, 1, 2, 3]]
+
+
+def test_what_stays_in_its_place_on_the_way_back_was_there():
+    """The track of a chair that is out of view goes over to another one like it, and the chair gets
+    a new one. On the way back each is where it last was, whoever was there before."""
+    near, far = thing(3, -0.4), thing(3, 0.4)
+    both = frame(0, [near.box, far.box])
+    stream = [(both, [far])] * 4 + [GONE] * 3 + [(AWAY, [near])] * 4 + [(both, [near, far])] * 2
+    assert seen_at(run(stream)[1]) == [[1]] * 4 + [[]] * 3 + [[1]] * 4 + [[1, 2]] * 2
+    tracks = looked_back(stream, [[near, far]] * 4 + [[]] * 3 + [[near, far]] * 6)
+    assert len(tracks) == 2
+    for track in tracks:
+        assert seen_by(track) == [0, 1, 2, 3, 7, 8, 9, 10, 11, 12]
+        assert len({tuple(e.box.center.round(3)) for e in track.history}) == 1
+
+
+def test_a_track_that_frames_to_come_have_shown_does_not_end_on_the_way_back():
+    here, there = thing(3, -0.9), thing(3, 0.9)
+    views = [frame(0, [here.box]), frame(0, [there.box]), frame(0)]
+    config = replace(CONFIG, end_after_visible_misses=3, reach_slack_m=2.0, max_reach_m=3.0)
+    stream = [(views[0], [here])] * 3 + [GONE] + [(views[1], [there])] * 3
+    back = [[thing(3, -0.9, canonical=EMPTY)]] + [[]] * 5 + [[there]]
+    (chair,) = looked_back(stream, back, config)
+    assert seen_by(chair) == [0, 6] and chair.history[-1].state is not E
+
+
 def test_twice_is_enough_and_backwards_means_backwards():
     tracker, _ = run([SEEN, SEEN, SEEN])
     tracker.turn_back()

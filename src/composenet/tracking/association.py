@@ -84,6 +84,23 @@ def match_boxes(
     return assign(iou * np.where(alike, 1.0, OTHER_CLASS), close | near)
 
 
+def match_first_pass(
+    tracklets: Sequence[Tracklet],
+    proposals: Sequence[ObjectEstimate],
+    frame_index: int,
+    config: TrackingConfig,
+) -> Pairs:
+    """Looking back, over what overlap with the last boxes left: overlap with where this very frame
+    showed the track the first time, for equal classes, gated by its IoU. So an identity that one
+    of the two passes has kept is kept."""
+    known = {row: box for row, t in enumerate(tracklets) if (box := t.first_pass_box(frame_index))}
+    classes = [tracklets[row].class_id for row in known]
+    iou = pairwise_iou([*known.values()], [p.box for p in proposals])
+    alike = same_class(classes, [p.class_id for p in proposals])
+    pairs, rows = assign(iou, alike & (iou >= config.box_iou_gate)), [*known]
+    return tuple((rows[place], column) for place, column in pairs)
+
+
 def kept_share(old: Box, new: Box, surface: FloatArray) -> float:
     """Share of the surface (M, 3) known in the old box that the new one, which may be off by
     PLACE_SLACK_M, holds; 1 where too little is known."""

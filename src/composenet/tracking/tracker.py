@@ -11,6 +11,7 @@ from composenet.records import Box, FloatArray, Frame, ObjectEstimate, Track, Tr
 from composenet.tracking.association import (
     NO_SURFACE,
     match_boxes,
+    match_first_pass,
     match_shapes,
     order_and_deduplicate,
 )
@@ -65,6 +66,12 @@ class Tracker:
         unseen = _others(alive, [row for row, _ in pairs])
         unclaimed = _others(proposals, [column for _, column in pairs])
         seen = [(alive[row], proposals[column]) for row, column in pairs]
+
+        if self._turned:
+            pairs = match_first_pass(unseen, unclaimed, frame.index, self._config)
+            seen += [(unseen[row], unclaimed[column]) for row, column in pairs]
+            unseen = _others(unseen, [row for row, _ in pairs])
+            unclaimed = _others(unclaimed, [column for _, column in pairs])
 
         views = [self._view(t, frame) for t in unseen]
         if self._config.use_correspondences:

@@ -4,7 +4,8 @@ States, each frame:
   seen                                        -> TRACKED, or RE_FOUND after an absence
   unseen, its place hidden or out of view     -> OCCLUDED
   unseen, its place in open view              -> LOST
-  unseen for too long, or LOST too many times -> ENDED, for good
+  unseen for too long, or LOST too many times -> ENDED, for good; looking back not before the
+                                                 first frame that showed it the first time
 """
 
 from __future__ import annotations
@@ -83,6 +84,7 @@ class Tracklet:
         self._misses = self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
         self._history: list[tuple[TrackedObject, bool]] = []  # with whether it was told of
+        self._first_pass: dict[int, Box] = {}  # by frame, in order of time
         self.S_world_canonical = estimate.S_world_canonical
         self.extents_m = estimate.extents_m
         self._pose_known = estimate.pose_observable
@@ -116,13 +118,18 @@ class Tracklet:
         self._visible_misses += lost
         self.state = TrackState.LOST if lost else TrackState.OCCLUDED
         self._confidence *= decay(self.state, config)
-        if (
+        to_come = next(iter(self._first_pass), frame_index) < frame_index
+        if not to_come and (
             self._misses >= config.end_after_frames
             or self._visible_misses >= config.end_after_visible_misses
         ):
             self.state = TrackState.ENDED
             self._confidence = 0.0
         self._record(frame_index, observed=False)
+
+    def first_pass_box(self, frame_index: int) -> Box | None:
+        """Looking back: where this frame showed it the first time; None where it did not."""
+        return self._first_pass.get(frame_index)
 
     def track(self, whole: bool = False) -> Track:
         """Every frame in which it was told of, perhaps none, as a record. whole: in hindsight,
@@ -136,6 +143,8 @@ class Tracklet:
     def turn_back(self) -> None:
         """The recording is looked at again from its end: it stays what it was when last seen, its
         history begins anew. Frames that have not shown it since will be missed again."""
+        seen = [entry for entry, _ in self._history if entry.observed]
+        self._first_pass = {entry.frame_index: entry.box for entry in seen}
         self._history = []
         self._misses = self._visible_misses = 0
         self._confidence = self._confidence_seen
