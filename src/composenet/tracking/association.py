@@ -91,8 +91,7 @@ def match_first_pass(
     config: TrackingConfig,
 ) -> Pairs:
     """Looking back, over what overlap with the last boxes left: overlap with where this very frame
-    showed the track the first time, for equal classes, gated by its IoU. So an identity that one
-    of the two passes has kept is kept."""
+    showed the track the first time, for equal classes, gated by its IoU."""
     known = {row: box for row, t in enumerate(tracklets) if (box := t.first_pass_box(frame_index))}
     classes = [tracklets[row].class_id for row in known]
     iou = pairwise_iou([*known.values()], [p.box for p in proposals])
