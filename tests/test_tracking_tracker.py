@@ -455,6 +455,27 @@ def test_what_stays_in_its_place_on_the_way_back_was_there():
         assert len({tuple(e.box.center.round(3)) for e in track.history}) == 1
 
 
+def test_what_ended_up_in_a_place_does_not_take_what_was_there_before():
+    """A chair moves, and once something is taken for a chair where it was, but not when looked at
+    again."""
+    here, there = thing(3, -0.5), thing(3, 0.5)
+    views = [frame(0, [thing.box]) for thing in (here, there)]
+    late = [(views[1], [there])] * 4
+    late[1] = (views[1], [there, here])
+    stream = [(views[0], [here])] * 4 + [GONE] * 3 + late
+    assert seen_at(run(stream)[1])[8] == [2, 1]
+    (chair,) = looked_back(stream, [[here]] * 4 + [[]] * 3 + [[there]] * 4)
+    assert chair.track_id == 1 and seen_by(chair) == [0, 1, 2, 3, 7, 8, 9, 10]
+
+
+def test_a_track_is_found_where_it_was_last_before_the_first_pass_had_lost_it():
+    stream = [SEEN] * 4 + [(frame(0), [])] * 2
+    stream = [(view or frame(0, [thing(3, 0).box]), shown) for view, shown in stream]
+    back = [[thing(3, 0)]] * 4 + [[thing(3, 0, canonical=EMPTY)]] * 2
+    (chair,) = looked_back(stream, back)
+    assert chair.track_id == 1 and seen_by(chair) == [0, 1, 2, 3, 4, 5]
+
+
 def test_a_track_that_frames_to_come_have_shown_does_not_end_on_the_way_back():
     here, there = thing(3, -0.9), thing(3, 0.9)
     views = [frame(0, [here.box]), frame(0, [there.box]), frame(0)]

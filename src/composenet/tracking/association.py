@@ -90,8 +90,12 @@ def match_first_pass(
     frame_index: int,
     config: TrackingConfig,
 ) -> Pairs:
-    """Looking back, over what overlap with the last boxes left: overlap with where this very frame
-    showed the track the first time, for equal classes, gated by its IoU."""
+    """Looking back: overlap with where this very frame showed the track the first time, for equal
+    classes, gated by its IoU.
+
+    It comes after the last boxes of tracks that were seen on the way back, which may know better,
+    and before those of the others: where these ended up, somebody else may have been before.
+    """
     known = {row: box for row, t in enumerate(tracklets) if (box := t.first_pass_box(frame_index))}
     classes = [tracklets[row].class_id for row in known]
     iou = pairwise_iou([*known.values()], [p.box for p in proposals])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from composenet.config import TrackingConfig, VolumeConfig
@@ -10,6 +11,7 @@ from composenet.errors import SequenceError
 from composenet.records import Box, FloatArray, Frame, ObjectEstimate, Track, TrackedObject
 from composenet.tracking.association import (
     NO_SURFACE,
+    Pairs,
     match_boxes,
     match_first_pass,
     match_shapes,
@@ -20,6 +22,22 @@ from composenet.tracking.tracklet import Tracklet
 from composenet.tracking.visibility import Visibility, surface_in_world, visibility
 
 T = TypeVar("T")
+
+
+@dataclass
+class _Matching:
+    """Tracks and proposals of one frame: those that have found each other, and the others."""
+
+    unseen: list[Tracklet]
+    unclaimed: list[ObjectEstimate]
+    seen: list[tuple[Tracklet, ObjectEstimate]] = field(default_factory=list)
+
+    def take(self, tracklets: Sequence[Tracklet], pairs: Pairs) -> None:
+        """pairs: positions in `tracklets`, which are some of the unseen, and in the unclaimed."""
+        rows, columns = [row for row, _ in pairs], [column for _, column in pairs]
+        self.seen += [(tracklets[row], self.unclaimed[column]) for row, column in pairs]
+        self.unseen = [t for t in self.unseen if not any(t is tracklets[row] for row in rows)]
+        self.unclaimed = _others(self.unclaimed, columns)
 
 
 class Tracker:
@@ -62,30 +80,26 @@ class Tracker:
         strong = [e for e in estimates if e.score >= self._config.min_score]
         proposals = order_and_deduplicate(strong, alive, self._config.duplicate_iou)
 
-        pairs = match_boxes(alive, proposals, self._config, surface)
-        unseen = _others(alive, [row for row, _ in pairs])
-        unclaimed = _others(proposals, [column for _, column in pairs])
-        seen = [(alive[row], proposals[column]) for row, column in pairs]
-
+        found = _Matching(alive, list(proposals))
+        followed = [t for t in alive if t.seen_this_way]
+        found.take(followed, match_boxes(followed, found.unclaimed, self._config, surface))
         if self._turned:
-            pairs = match_first_pass(unseen, unclaimed, frame.index, self._config)
-            seen += [(unseen[row], unclaimed[column]) for row, column in pairs]
-            unseen = _others(unseen, [row for row, _ in pairs])
-            unclaimed = _others(unclaimed, [column for _, column in pairs])
+            pairs = match_first_pass(found.unseen, found.unclaimed, frame.index, self._config)
+            found.take(found.unseen, pairs)
+            waiting = [t for t in found.unseen if not t.seen_this_way]
+            found.take(waiting, match_boxes(waiting, found.unclaimed, self._config, surface))
 
-        views = [self._view(t, frame) for t in unseen]
+        views = [self._view(t, frame) for t in found.unseen]
         if self._config.use_correspondences:
-            pairs = match_shapes(unseen, views, unclaimed, frame.index, self._config)
-            seen += [(unseen[row], unclaimed[column]) for row, column in pairs]
+            pairs = match_shapes(found.unseen, views, found.unclaimed, frame.index, self._config)
+            found.take(found.unseen, pairs)
             views = _others(views, [row for row, _ in pairs])
-            unseen = _others(unseen, [row for row, _ in pairs])
-            unclaimed = _others(unclaimed, [column for _, column in pairs])
 
-        for tracklet, proposal in seen:
+        for tracklet, proposal in found.seen:
             tracklet.observe(frame.index, proposal)
-        for tracklet, view in zip(unseen, views, strict=True):
+        for tracklet, view in zip(found.unseen, views, strict=True):
             tracklet.miss(frame.index, view)
-        born = [self._birth(frame.index, p) for p in unclaimed if self._may_start(p)]
+        born = [self._birth(frame.index, p) for p in found.unclaimed if self._may_start(p)]
         return tuple(t.latest for t in alive + born if t.told)
 
     @property

@@ -68,7 +68,8 @@ class Tracklet:
     confidence and the score, after an absence no less than at a birth; while unseen, it decays by
     a factor a frame, faster when lost than when occluded; 0 at the end.
 
-    latest: the entry of the newest frame.
+    latest: the entry of the newest frame. seen_this_way: whether a frame has shown it since the
+    recording was turned back, if it was.
     """
 
     def __init__(
@@ -146,6 +147,7 @@ class Tracklet:
         seen = [entry for entry, _ in self._history if entry.observed]
         self._first_pass = {entry.frame_index: entry.box for entry in seen}
         self._history = []
+        self.seen_this_way = False
         self._misses = self._visible_misses = 0
         self._confidence = self._confidence_seen
 
@@ -168,7 +170,7 @@ class Tracklet:
         self.box = self._steadied(estimate)
         S, shift = self.S_world_canonical, self.box.center - estimate.box.center
         self.S_world_canonical = Similarity(S.scale_m, S.R, S.t + shift)
-        self.last_seen = frame_index
+        self.last_seen, self.seen_this_way = frame_index, True
         self._votes += max(estimate.score, 1e-3) * estimate.class_probabilities
         self._misses = self._visible_misses = 0
         self._confidence_seen = self._confidence
