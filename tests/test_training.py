@@ -294,30 +294,6 @@ def test_a_cropped_view_is_a_window_of_the_same_camera(recordings: Path) -> None
     np.testing.assert_array_equal(view.camera.K, whole.frame.camera.K)
 
 
-def test_a_narrow_walk_shows_the_same_window_of_every_image(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So that nothing remembered shows where an object ends that is cut by it."""
-    frames, windows = [], []
-
-    def cropped(frame, ids, window):
-        windows.append(window)
-        return crop_view(frame, ids, window)
-
-    monkeypatch.setattr(data, "crop_view", cropped)
-    for name in ("voxelize", "remember"):
-        monkeypatch.setattr(data, name, lambda frame, *_: frames.append(frame.index))
-    scene, rng = disk_scene(recordings, 0), np.random.default_rng(0)
-    monkeypatch.setattr(data, "NARROW_WALKS", 1.0)
-    assert not list(samples_of_scene(scene, CONFIG, rng))
-    assert len(windows) == len(frames) > 1 and len(set(windows)) == 1
-    windows.clear()
-    monkeypatch.setattr(data, "NARROW_WALKS", 0.0)
-    for _ in range(4):
-        assert not list(samples_of_scene(scene, CONFIG, rng))
-    assert len(set(windows)) == len(windows) > 1
-
-
 @pytest.mark.parametrize("generated", [True, False])
 def test_what_the_window_leaves_out_is_no_target(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, generated: bool

@@ -37,12 +37,8 @@ LONGEST_WALK = 30
 LOOKS_ASIDE = 0.1
 """Share of the generated scenes in which the camera is turned by any angle all along, whatever it
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
-NARROW_WALKS = 0.25
-"""Share of the scenes of which a window of every image is seen, the same all along. A window of one
-image leaves what others of the walk saw of an object; of a large one before a close camera, no
-image shows where it ends."""
 NARROW_FRAMES = 0.3
-"""Share of the frames of other scenes of which a window is seen."""
+"""Share of the frames of which a window is seen."""
 POOL_FRAMES = 512
 """A worker mixes so many frames, of dozens of scenes, once its pool is full; half a gigabyte."""
 
@@ -81,14 +77,13 @@ def samples_of_scene(
     count = min(config.frames_per_scene, len(times))
     taken = set(rng.choice(len(times), count, replace=False).tolist())
     memory = Memory(config.model.volume.memory_frames)
-    narrow = random_window(rng) if augment and rng.random() < NARROW_WALKS else None
     for place, i in enumerate(times):
         rendered = scene.render(i, color=False)
         frame, ids = rendered.frame, rendered.ids
         if augment:
             frame = replace(frame, T_world_camera=frame.T_world_camera @ small_motion(rng))
-            if narrow or rng.random() < NARROW_FRAMES:
-                frame, ids = crop_view(frame, ids, narrow or random_window(rng))
+            if rng.random() < NARROW_FRAMES:
+                frame, ids = crop_view(frame, ids, random_window(rng))
         if place not in taken:
             remember(frame, config.model.volume, ids, memory)
             continue
