@@ -15,7 +15,14 @@ from composenet.network.crop_inputs import crop_inputs
 from composenet.records import Box, Frame, ObjectFrameTruth, ObjectTruth, Symmetry
 from composenet.training.targets import UNKNOWN, forget_moved
 from composenet.volume.memory import Memory
-from composenet.volume.voxels import FEATURE_NAMES, OLD_FRAMES, Volume, remember, voxelize
+from composenet.volume.voxels import (
+    FEATURE_NAMES,
+    OLD_FRAMES,
+    Volume,
+    _unlike,
+    remember,
+    voxelize,
+)
 from tracking_scenes import frame, screen
 
 CONFIG = VolumeConfig(min_pixels=1, max_depth_m=7.0, memory_reach_m=20.0)
@@ -193,3 +200,20 @@ def test_crops_are_told_where_surface_is_remembered() -> None:
     for row in range(2):
         torch.testing.assert_close(samples[row, 2], expected.float())
         assert surface[row][expected].all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_voxel_is_remembered_twice(seed: int) -> None:
+    """`_unlike` against its readable counterpart."""
+    rng = np.random.default_rng(seed)
+    shape = (6, 5, 4)
+    cells = rng.integers(-1, 7, (200, 3)).astype(np.int32)
+    coords = np.unique(rng.integers(0, shape, (30, 3)), axis=0).astype(np.int32)
+    taken = {tuple(row) for row in coords.tolist()}
+    expected = []
+    for row in cells.tolist():
+        out = any(not 0 <= at < n for at, n in zip(row, shape, strict=True))
+        expected.append(out or tuple(row) not in taken)
+        taken.add(tuple(row))
+    assert _unlike(cells, coords, shape).tolist() == expected
+    assert 0 < sum(expected) < len(expected)

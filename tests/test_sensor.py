@@ -4,9 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from composenet.records import Camera
-from composenet.synth.sensor import Sensor, SensorKind, as_stored, measure, sample_sensor
+from composenet.synth.sensor import (
+    EDGE_STEP,
+    Sensor,
+    SensorKind,
+    _edge_step,
+    _near_edges,
+    as_stored,
+    measure,
+    sample_sensor,
+)
 
 CAMERA = Camera(np.array([[280.0, 0, 159.5], [0, 280.0, 119.5], [0, 0, 1]]), 320, 240)
 QUIET = Sensor(
@@ -125,3 +136,22 @@ def test_depth_is_whole_millimetres_and_repeats() -> None:
     np.testing.assert_array_equal(first, second)
     np.testing.assert_array_equal(as_stored(first), first)
     assert first.dtype == np.float32
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.1))
+def test_no_edge_is_passed_over(seed: int, roughness: float) -> None:
+    """Pixels that are not near an edge, by the quick test, have no step to any neighbour."""
+    rng = np.random.default_rng(seed)
+    depth = rng.choice([1.0, 1.5, 4.0], (12, 16)) * (1 + roughness * rng.random((12, 16)))
+    depth[rng.random((12, 16)) < 0.1] = 0
+    depth = depth.astype(np.float32)
+    near = _near_edges(depth)
+    for v, u in np.argwhere(depth > 0):
+        assert near[v, u] or _edge_step(depth, v, u)[0] <= EDGE_STEP
+
+
+def test_no_plain_wall_is_near_an_edge() -> None:
+    slanted = wall(2.0)[0] * np.linspace(1, 2, 320, dtype=np.float32)
+    near = _near_edges(slanted)
+    assert not near[1:-1, 1:-1].any() and near[0].all() and near[:, -1].all()

@@ -59,14 +59,26 @@ def _solid_by_rays(
     for chosen, rays in ((faces[~thin], _RAYS), (faces[thin], _RAYS_THIN)):
         if len(chosen) == 0:
             continue
-        filled = np.zeros(cells**3, dtype=np.float32)
+        filled = np.zeros(solid.shape, dtype=np.float32)
         for axis in range(3):  # rays along x, y, z; cyclic, so faces keep their orientation
             order = np.array([axis + 1, axis + 2, axis]) % 3
-            strides = np.array([cells * cells, cells, 1])[order]
-            corners = points[:, order][chosen]
-            _cast(corners, cells, rays, strides, filled, solid.reshape(-1))
-        solid |= filled.reshape(solid.shape) >= 0.5 * 3
+            filled = _cycled(filled)  # so that the cells of a ray lie side by side
+            _cast(points[:, order][chosen], rays, filled)
+        solid |= filled >= 0.5 * 3
     return solid
+
+
+@njit(cache=True)
+def _cycled(grid):  # type: ignore[no-untyped-def]
+    """[x, y, z] -> [y, z, x], copied, some of a row at a time so that they stay at hand."""
+    nx, ny, nz = grid.shape
+    out = np.empty((ny, nz, nx), grid.dtype)
+    for y in range(ny):
+        for begin in range(0, nz, 16):
+            for x in range(nx):
+                for z in range(begin, min(begin + 16, nz)):
+                    out[y, z, x] = grid[x, y, z]
+    return out
 
 
 def _thin_parts(
@@ -146,46 +158,52 @@ def _all_crossings(corners, side, spacing, shift0, shift1):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _fill_stretch(low, high, cells, share, base, step, filled, solid):  # type: ignore[no-untyped-def]
-    """Add one inside stretch of a ray to the cells base + k * step."""
+def _fill_stretch(low, high, share, i, j, filled):  # type: ignore[no-untyped-def]
+    """Add one inside stretch of a ray to its cells, those at [i, j]; a short one fills a cell."""
+    cells = filled.shape[2]
     low, high = max(low, 0.0), min(high, float(cells))
     if high <= low:
         return
-    for k in range(int(low), min(int(high), cells - 1) + 1):
-        filled[base + k * step] += share * (min(high, k + 1.0) - max(low, float(k)))
+    first, last = int(low), min(int(high), cells - 1)
+    filled[i, j, first] += share * (min(high, first + 1.0) - low)
+    for k in range(first + 1, last):
+        filled[i, j, k] += share
+    if last > first:
+        filled[i, j, last] += share * (high - last)
     if high - low < _SHORT:
-        solid[base + min(int((low + high) / 2), cells - 1) * step] = True
+        filled[i, j, min(int((low + high) / 2), cells - 1)] = np.inf
 
 
 @njit(cache=True)
-def _cast(corners, cells, rays, strides, filled, solid):  # type: ignore[no-untyped-def]
+def _cast(corners, rays, filled):  # type: ignore[no-untyped-def]
     """Rays along the last coordinate of the triangles (F, 3, 3), in cell units. Adds the inside
-    share of each cell to filled (cells^3,), and marks the cells of short stretches in solid;
-    strides (3,): how far apart neighbours along the three coordinates lie there."""
-    side, spacing, share = cells * rays, 1.0 / rays, 1.0 / (rays * rays)
+    share of each cell to filled (cells,)*3, and infinity to the cells of short stretches."""
+    side, spacing, share = filled.shape[0] * rays, 1.0 / rays, 1.0 / (rays * rays)
     shift0, shift1 = (0.5 + _JITTER0) * spacing, (0.5 + _JITTER1) * spacing
-    ray, z, turn = _all_crossings(corners, side, spacing, shift0, shift1)
-    end = np.zeros(side * side + 1, np.int64)
+    ray, height, turn = _all_crossings(corners, side, spacing, shift0, shift1)
+    first = np.zeros(side * side + 1, np.int64)
     for r in ray:
-        end[r + 1] += 1
-    end = np.cumsum(end)
-    order, place = np.empty(len(ray), np.int64), end.copy()
+        first[r + 1] += 1
+    first = np.cumsum(first)
+    free, z, turns = first.copy(), np.empty_like(height), np.empty_like(turn)
     for n in range(len(ray)):  # insertion sort within each ray: few crossings
-        slot = place[ray[n]]
-        place[ray[n]] += 1
-        while slot > end[ray[n]] and z[order[slot - 1]] > z[n]:
-            order[slot] = order[slot - 1]
+        slot = free[ray[n]]
+        free[ray[n]] += 1
+        while slot > first[ray[n]] and z[slot - 1] > height[n]:
+            z[slot], turns[slot] = z[slot - 1], turns[slot - 1]
             slot -= 1
-        order[slot] = n
+        z[slot], turns[slot] = height[n], turn[n]
     for r in range(side * side):
-        base = (r // side // rays) * strides[0] + (r % side // rays) * strides[1]
+        if first[r] == first[r + 1]:
+            continue
+        i, j = r // side // rays, r % side // rays
         winding, entered = 0, 0.0
-        for n in order[end[r] : end[r + 1]]:
-            before, winding = winding, winding + turn[n]
+        for n in range(first[r], first[r + 1]):
+            before, winding = winding, winding + turns[n]
             if before <= 0 < winding:
                 entered = z[n]
             elif winding <= 0 < before:
-                _fill_stretch(entered, z[n], cells, share, base, strides[2], filled, solid)
+                _fill_stretch(entered, z[n], share, i, j, filled)
 
 
 def _solid_by_winding(

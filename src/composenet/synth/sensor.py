@@ -144,32 +144,22 @@ def _projector_sees(depth, focal_baseline):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _bilinear(grid, y, x):  # type: ignore[no-untyped-def]
-    i, j = int(y), int(x)
-    i, j = min(i, grid.shape[0] - 2), min(j, grid.shape[1] - 2)
-    a, b = y - i, x - j
-    top = grid[i, j] * (1 - b) + grid[i, j + 1] * b
-    return top * (1 - a) + (grid[i + 1, j] * (1 - b) + grid[i + 1, j + 1] * b) * a
-
-
-@numba.njit(cache=True, nogil=True)
 def _bilinear_row(grid, y, x, out):  # type: ignore[no-untyped-def]
-    """`_bilinear` of a whole row, into out: one loop without branches."""
+    """A coarse grid between its cells: one row, y, at the columns x, into out."""
+    i = min(int(y), grid.shape[0] - 2)
+    a = y - i
     for u in range(len(x)):
-        out[u] = _bilinear(grid, y, x[u])
+        j = min(int(x[u]), grid.shape[1] - 2)
+        b = x[u] - j
+        top = grid[i, j] * (1 - b) + grid[i, j + 1] * b
+        out[u] = top * (1 - a) + (grid[i + 1, j] * (1 - b) + grid[i + 1, j + 1] * b) * a
 
 
 @numba.njit(cache=True, nogil=True)
 def _edge_step(depth, v, u):  # type: ignore[no-untyped-def]
-    """Largest relative depth step to a neighbour, and that neighbour's depth; a step of 0 where
-    none comes near EDGE_STEP, which saves the divisions."""
+    """Largest relative depth step to a neighbour, and that neighbour's depth."""
     height, width = depth.shape
     z, step, other = depth[v, u], 0.0, depth[v, u]
-    if 0 < v < height - 1 and 0 < u < width - 1:
-        across = max(abs(depth[v, u + 1] - z), abs(depth[v, u - 1] - z))
-        down = max(abs(depth[v + 1, u] - z), abs(depth[v - 1, u] - z))
-        if max(across, down) < 0.99 * EDGE_STEP * z:
-            return step, other
     for dv, du in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         i, j = v + dv, u + du
         if 0 <= i < height and 0 <= j < width:
@@ -180,16 +170,43 @@ def _edge_step(depth, v, u):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _by_disparity(z, cosine, normal, stereo):  # type: ignore[no-untyped-def]
-    """Depth from noisy disparity in whole steps; 0 where none is left."""
+def _near_edges(depth):  # type: ignore[no-untyped-def]
+    """(H, W) bool: all pixels whose `_edge_step` is larger than EDGE_STEP, and few others; without
+    a division or a branch."""
+    height, width = depth.shape
+    near = np.ones((height, width), dtype=np.bool_)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            z = depth[v, u]
+            limit = np.float32(0.99 * EDGE_STEP) * z
+            near[v, u] = (
+                (abs(depth[v, u - 1] - z) >= limit)
+                | (abs(depth[v, u + 1] - z) >= limit)
+                | (abs(depth[v - 1, u] - z) >= limit)
+                | (abs(depth[v + 1, u] - z) >= limit)
+            )
+    return near
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _by_disparity(z, cosine, normal, stereo, out):  # type: ignore[no-untyped-def]
+    """Depth of a row from noisy disparity in whole steps; 0 where none is left."""
     focal_baseline, step_px, noise_px = stereo
-    spread = noise_px * (1 + 0.5 * (1 - cosine) / (cosine + 0.1))
-    disparity = focal_baseline / z + spread * normal
-    disparity = np.rint(disparity / step_px) * step_px
-    return focal_baseline / disparity if disparity > 0 else 0.0
+    for u in range(len(out)):
+        spread = noise_px * (1 + 0.5 * (1 - cosine[u]) / (cosine[u] + 0.1))
+        disparity = focal_baseline / z[u] + spread * normal[u]
+        disparity = np.rint(disparity / step_px) * step_px
+        out[u] = focal_baseline / disparity if disparity > 0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _by_phase(z, returned, normal, phase, out):  # type: ignore[no-untyped-def]
+    """Depth of a row from noisy phase; returned: (W,) how much of the light."""
+    for u in range(len(out)):
+        out[u] = z[u] + phase * (0.5 + z[u] * z[u]) / np.sqrt(returned[u] + 0.05) * normal[u]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _measure(  # type: ignore[no-untyped-def]
     clean,
     surface,
@@ -210,12 +227,19 @@ def _measure(  # type: ignore[no-untyped-def]
     patches, windows, warps = grids
     out = np.zeros((height, width), dtype=np.float32)
     columns = np.arange(width)
+    eighths, quarters, fifths = columns / 8, columns / 4, columns / width * 3.99
     patch, warp, window = np.empty(width), np.empty(width), np.empty(width)
+    # Of the row's pixels that return light: depth (else 0), cosine and light.
+    met, cosines = np.empty(width), np.empty(width, dtype=np.float32)
+    returns, normal, measured = np.empty(width), np.empty(width), np.empty(width)
+    near_edge = _near_edges(clean)
+    own, common = (0.3, 1.3) if light else (0.7, 0.9)
     for v in range(height):
-        _bilinear_row(patches, v / 8, columns / 8, patch)
-        _bilinear_row(warps, v / height * 2.99, columns / width * 3.99, warp)
-        _bilinear_row(windows, v / 4, columns / 4, window)
+        _bilinear_row(patches, v / 8, eighths, patch)
+        _bilinear_row(warps, v / height * 2.99, fifths, warp)
+        _bilinear_row(windows, v / 4, quarters, window)
         for u in range(width):
+            met[u] = 0.0
             # The same jitter decides depth and surface, so edges wander as a whole.
             i = min(max(int(np.rint(v + down[v, u])), 0), height - 1)
             j = min(max(int(np.rint(u + right[v, u])), 0), width - 1)
@@ -224,25 +248,29 @@ def _measure(  # type: ignore[no-untyped-def]
             z = clean[i, j]
             if z < limits[0] or z > limits[1] or not lit[i, j]:
                 continue
-            cosine, brightness, shininess = surface[i, j]
+            cosine, brightness, shininess = surface[i, j, 0], surface[i, j, 1], surface[i, j, 2]
             if cosine < grazing * (0.5 + chance[v, u]):
-                continue
-            step, other = _edge_step(clean, i, j)
-            if step > EDGE_STEP and chance[v, u] < edge_loss:
                 continue
             returned = brightness * (0.3 + 0.7 * cosine) * (1 - 0.6 * shininess)
             needed = loss * 0.25 * (0.3 + z / limits[1]) ** 2
             if returned < needed * (0.3 + 1.4 * patch[u]):
                 continue
-            z *= 1 + warp[u]
-            if light:
-                correlated = 1.3 * window[u] + 0.3 * noise[v, u]
-                z = _by_disparity(z, cosine, correlated, stereo)
-            else:
-                if step > EDGE_STEP and other > 0 and chance[v, u] > 0.5:
-                    z += (other - z) * (chance[v, u] - 0.5) * 2
-                filtered = 0.9 * window[u] + 0.7 * noise[v, u]
-                z += phase * (0.5 + z * z) / np.sqrt(returned + 0.05) * filtered
-            if limits[0] <= z <= limits[1]:
-                out[v, u] = z
+            met[u], cosines[u], returns[u] = z * (1 + warp[u]), cosine, returned
+            if not near_edge[i, j]:
+                continue
+            step, other = _edge_step(clean, i, j)
+            if step > EDGE_STEP and chance[v, u] < edge_loss:
+                met[u] = 0.0
+            elif step > EDGE_STEP and other > 0 and chance[v, u] > 0.5 and not light:
+                met[u] += (other - met[u]) * (chance[v, u] - 0.5) * 2
+        for u in range(width):
+            normal[u] = common * window[u] + own * noise[v, u]
+        if light:
+            _by_disparity(met, cosines, normal, stereo, measured)
+        else:
+            _by_phase(met, returns, normal, phase, measured)
+        for u in range(width):
+            z = measured[u]
+            kept = (met[u] > 0) & (z >= limits[0]) & (z <= limits[1])
+            out[v, u] = z if kept else 0.0
     return out

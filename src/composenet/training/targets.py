@@ -57,7 +57,7 @@ class TrainingBatch:
 
     frame: (K,) frame of each object. other_frame: (L,) that of each other thing. voxel_object: (N,)
     row of the voxel's object, -1 for none, -2 for what nobody can know.
-    The rest as in Sample, as tensors; occupancy: (K, 32, 32, 32) float in 0..1.
+    The rest as in Sample, as tensors.
     """
 
     volume: VolumeBatch
@@ -151,8 +151,11 @@ def _shown(volume: Volume, boxes: NDArray[np.float32]) -> NDArray[np.bool_]:
     """(L,) bool: the frame sees OTHER_VOXELS or more in it that are no object's."""
     free = volume.labels[: volume.n_seen] == 0
     points = volume.coords[: volume.n_seen][free] * volume.voxel_size_m
-    inside = (np.abs(points - boxes[:, None, :3]) <= boxes[:, None, 3:] / 2).all(axis=2)
-    return inside.sum(axis=1) >= OTHER_VOXELS
+    inside = np.ones((len(boxes), len(points)), np.bool_)
+    for axis in range(3):
+        away = np.abs(points[:, axis] - boxes[:, axis, None])
+        inside &= away <= boxes[:, 3 + axis, None] / 2
+    return np.count_nonzero(inside, axis=1) >= OTHER_VOXELS
 
 
 def soften(occupancy: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -184,7 +187,6 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
         frame=torch.from_numpy(frame),
         other_frame=torch.from_numpy(other_frame),
         voxel_object=torch.from_numpy(np.concatenate(voxel_object)),
-        occupancy=join("occupancy").float() / 8,
         **{
             name: join(name)
             for name in (
@@ -195,6 +197,7 @@ def collate_samples(samples: Sequence[Sample]) -> TrainingBatch:
                 "R_grid_object",
                 "t",
                 "object_extents",
+                "occupancy",
                 "visible_pixels",
                 "other_boxes",
             )
@@ -208,6 +211,5 @@ def occupancy_in_crops(batch: TrainingBatch, crops: CropBatch, rows: Tensor, cel
     local = points @ batch.R_grid_object[rows]
     unit = 2 * local / batch.object_extents[rows][:, None]  # -1..1 over the object's box
     grid = unit.flip(-1).view(-1, cells, cells, cells, 3)
-    return F.grid_sample(
-        batch.occupancy[rows][:, None], grid, padding_mode="zeros", align_corners=False
-    )[:, 0]
+    filled = batch.occupancy[rows][:, None].to(grid.dtype) / 8
+    return F.grid_sample(filled, grid, padding_mode="zeros", align_corners=False)[:, 0]

@@ -53,9 +53,10 @@ class Surface:
     def __len__(self) -> int:
         return len(self.points)
 
-    def __getitem__(self, rows: NDArray) -> Surface:
+    def __getitem__(self, wanted: NDArray[np.bool_]) -> Surface:
         """Some of the voxels."""
-        return Surface(*(value[rows] for value in vars(self).values()))
+        rows = np.flatnonzero(wanted)  # once for all, and copied whole: a third of the time
+        return Surface(*(value.take(rows, axis=0) for value in vars(self).values()))
 
     def turned(self, R: NDArray[np.float64]) -> Surface:
         """The same surface with other axes: p -> R p."""
@@ -176,22 +177,24 @@ def _empty(emptied, low, depth_m, K, T_camera_world, index):
     height, width = depth_m.shape
     nx, ny, nz = emptied.shape
     T = T_camera_world
+    us, vs, zs = np.empty(nz), np.empty(nz), np.empty(nz)
     for i in range(nx):
         for j in range(ny):
             a = low[0] + (i + 0.5) * FREE_CELL_M
             b = low[1] + (j + 0.5) * FREE_CELL_M
             if _out_of_view(a, b, low[2], low[2] + nz * FREE_CELL_M, height, width, K, T):
                 continue
-            for k in range(nz):
+            for k in range(nz):  # no branch within, so that several go at once
                 c = low[2] + (k + 0.5) * FREE_CELL_M
-                z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
-                if z <= 0.1:
-                    continue
                 x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
                 y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
-                u = np.floor(K[0, 0] * x / z + K[0, 2] + 0.5)
-                v = np.floor(K[1, 1] * y / z + K[1, 2] + 0.5)
-                if u < 0 or v < 0 or u >= width or v >= height:
+                zs[k] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+                safe_z = zs[k] if zs[k] > 0.1 else 1.0
+                us[k] = np.floor(K[0, 0] * x / safe_z + K[0, 2] + 0.5)
+                vs[k] = np.floor(K[1, 1] * y / safe_z + K[1, 2] + 0.5)
+            for k in range(nz):
+                u, v, z = us[k], vs[k], zs[k]
+                if z <= 0.1 or u < 0 or v < 0 or u >= width or v >= height:
                     continue
                 measured = depth_m[int(v), int(u)]
                 if measured <= 0:
@@ -219,15 +222,17 @@ def _out_of_view(a, b, lowest, highest, height, width, K, T):
         right &= u > width * z
         above &= v < 0
         below &= v > height * z
-    return behind or left or right or above or below
+    return behind | left | right | above | below
 
 
 @numba.njit(cache=True, nogil=True)
 def _not_older(emptied, index, frames):
     """Bool like emptied: marked, and at most so many frames from `index`."""
     known = np.empty(emptied.size, np.bool_)
-    for cell, when in enumerate(emptied.ravel()):
-        known[cell] = (when != _NEVER) & (abs(index - when) <= frames)
+    first, last = np.int32(max(index - frames, _NEVER + 1)), np.int32(index + frames)
+    when = emptied.ravel()
+    for cell in range(len(when)):
+        known[cell] = (when[cell] >= first) & (when[cell] <= last)
     return known.reshape(emptied.shape)
 
 

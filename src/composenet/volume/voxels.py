@@ -105,33 +105,38 @@ def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
 def _points_and_normals(depth, fx, fy, cx, cy, R, t, max_depth):
     """Back-projected points (grid frame) and normals towards the camera; valid mask."""
     height, width = depth.shape
-    points = np.zeros((height, width, 3), np.float32)
-    valid = np.zeros((height, width), np.bool_)
+    points = np.empty((height, width, 3), np.float32)
+    valid = np.empty((height, width), np.bool_)
+    across = np.empty(width)
+    for u in range(width):
+        across[u] = (u - cx) / fx
     for v in range(height):
+        down = (v - cy) / fy
         for u in range(width):
             z = depth[v, u]
-            if z > 0.1 and z <= max_depth:
-                x = (u - cx) / fx * z
-                y = (v - cy) / fy * z
-                for a in range(3):
-                    points[v, u, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z + t[a]
-                valid[v, u] = True
+            seen = (z > 0.1) & (z <= max_depth)
+            x, y = across[u] * z, down * z
+            p0 = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+            p1 = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+            p2 = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+            points[v, u, 0] = p0 if seen else 0.0
+            points[v, u, 1] = p1 if seen else 0.0
+            points[v, u, 2] = p2 if seen else 0.0
+            valid[v, u] = seen
     normals = np.zeros((height, width, 3), np.float32)
     step = max(1, width // 160)
     for v in range(step, height - step):
         for u in range(step, width - step):
+            limit = 0.05 * step * depth[v, u]
             if not (
                 valid[v, u]
-                and valid[v, u - step]
-                and valid[v, u + step]
-                and valid[v - step, u]
-                and valid[v + step, u]
+                & valid[v, u - step]
+                & valid[v, u + step]
+                & valid[v - step, u]
+                & valid[v + step, u]
+                & (abs(depth[v, u + step] - depth[v, u - step]) <= limit)
+                & (abs(depth[v + step, u] - depth[v - step, u]) <= limit)
             ):
-                continue
-            limit = 0.05 * step * depth[v, u]
-            if abs(depth[v, u + step] - depth[v, u - step]) > limit:
-                continue
-            if abs(depth[v + step, u] - depth[v - step, u]) > limit:
                 continue
             a0 = points[v, u + step, 0] - points[v, u - step, 0]
             a1 = points[v, u + step, 1] - points[v, u - step, 1]
@@ -358,18 +363,19 @@ def _near(
     return np.all((old_points >= low) & (old_points <= high), axis=1)
 
 
-def _unlike(
-    cells: NDArray[np.int32], coords: NDArray[np.int32], shape: tuple[int, int, int]
-) -> NDArray[np.bool_]:
+@numba.njit(cache=True, nogil=True)
+def _unlike(cells, coords, shape):
     """(M,) bool: cells that are none of coords nor an earlier row; those out of the grid are."""
     taken = np.zeros(shape, np.bool_)
-    taken[tuple(coords.T)] = True
-    inside = np.nonzero(((cells >= 0) & (cells < shape)).all(axis=1))[0]
-    flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
-    _, first = np.unique(flat, return_index=True)
+    for n in range(len(coords)):
+        taken[coords[n, 0], coords[n, 1], coords[n, 2]] = True
     unlike = np.ones(len(cells), np.bool_)
-    unlike[inside] = False
-    unlike[inside[first]] = ~taken.reshape(-1)[flat[first]]
+    for n in range(len(cells)):
+        i, j, k = cells[n, 0], cells[n, 1], cells[n, 2]
+        if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
+            continue
+        unlike[n] = not taken[i, j, k]
+        taken[i, j, k] = True
     return unlike
 
 
