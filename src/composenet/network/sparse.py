@@ -16,7 +16,8 @@ from torch import Tensor, nn
 OFFSETS = torch.stack(torch.meshgrid(*[torch.arange(-1, 2)] * 3, indexing="ij"), dim=-1).reshape(
     27, 3
 )
-"""(27, 3) neighbour offsets in the order of the weights; 13 is the centre; k mirrors 26 - k."""
+"""(27, 3) neighbour offsets in the order of the weights; k mirrors 26 - k."""
+CENTER = 13
 
 
 @dataclass(frozen=True)
@@ -24,14 +25,14 @@ class Level:
     """Sites of one resolution.
 
     coords: (N, 4) int64 rows of (batch, x, y, z). table: (N, 27) int64, row of the neighbour at
-    OFFSETS[k], or N where there is none. pairs: for each offset (rows out, rows in) that exist
-    (CPU only, else empty). parent, octant: (N,) int64 into the next coarser level (empty on the
+    OFFSETS[k], or N where there is none. pairs: for each offset but the centre where any exist, k,
+    rows out and rows in (CPU only, else empty). parent, octant: (N,) int64 into the next coarser level (empty on the
     coarsest).
     """
 
     coords: Tensor
     table: Tensor
-    pairs: tuple[tuple[Tensor, Tensor], ...]
+    pairs: tuple[tuple[int, Tensor, Tensor], ...]
     parent: Tensor
     octant: Tensor
 
@@ -85,45 +86,40 @@ def unique_rows(rows: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack([unique, *columns[::-1]], dim=1) + low, place
 
 
-def _pairs(table: Tensor) -> tuple[tuple[Tensor, Tensor], ...]:
-    n = len(table)
-    pairs = []
-    for k in range(27):
-        column = table[:, k]
+def _pairs(table: Tensor) -> tuple[tuple[int, Tensor, Tensor], ...]:
+    """See `Level.pairs`."""
+    n, pairs = len(table), []
+    for k, column in enumerate(table.unbind(dim=1)):
         rows = torch.nonzero(column < n)[:, 0]
-        pairs.append((rows, column[rows]))
+        if k != CENTER and len(rows):
+            pairs.append((k, rows, column[rows]))
     return tuple(pairs)
 
 
 class _PairwiseConv(torch.autograd.Function):
-    """CPU: gather -> addmm -> copy back, one offset after the other."""
+    """CPU: gather -> multiply -> add, one offset after the other."""
 
     @staticmethod
     def forward(ctx, features: Tensor, weight: Tensor, level: Level) -> Tensor:
         ctx.save_for_backward(features, weight)
         ctx.level = level
-        out = features @ weight[13]
-        for k, (rows_out, rows_in) in enumerate(level.pairs):
-            if k != 13 and len(rows_out):
-                part = torch.addmm(
-                    out.index_select(0, rows_out), features.index_select(0, rows_in), weight[k]
-                )
-                out.index_copy_(0, rows_out, part)
+        weights = weight.unbind()
+        out = features @ weights[CENTER]
+        for k, rows_out, rows_in in level.pairs:
+            out.index_add_(0, rows_out, features.index_select(0, rows_in) @ weights[k])
         return out
 
     @staticmethod
     def backward(ctx, grad: Tensor):  # type: ignore[override]
         features, weight = ctx.saved_tensors
-        grad_features = grad @ weight[13].T
-        grad_weight = torch.empty_like(weight)
-        for k, (rows_out, rows_in) in enumerate(ctx.level.pairs):
-            if k == 13:
-                torch.mm(features.T, grad, out=grad_weight[13])
-                continue
+        weights, grad_weight = weight.unbind(), torch.zeros_like(weight)
+        grad_weights = grad_weight.unbind()
+        grad_features = grad @ weights[CENTER].T
+        torch.mm(features.T, grad, out=grad_weights[CENTER])
+        for k, rows_out, rows_in in ctx.level.pairs:
             grad_part = grad.index_select(0, rows_out)
-            torch.mm(features.index_select(0, rows_in).T, grad_part, out=grad_weight[k])
-            part = torch.addmm(grad_features.index_select(0, rows_in), grad_part, weight[k].T)
-            grad_features.index_copy_(0, rows_in, part)
+            torch.mm(features.index_select(0, rows_in).T, grad_part, out=grad_weights[k])
+            grad_features.index_add_(0, rows_in, grad_part @ weights[k].T)
         return grad_features, grad_weight, None
 
 

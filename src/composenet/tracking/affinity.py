@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,10 @@ def same_class(a: Sequence[int], b: Sequence[int]) -> NDArray[np.bool_]:
 def coarse(canonical: FloatArray) -> NDArray[np.float32]:
     """(32, 32, 32) largest values of the blocks of a canonical reconstruction (64, 64, 64)."""
     step = canonical.shape[0] // COARSE_CELLS
-    blocks = np.asarray(canonical, np.float32).reshape((COARSE_CELLS, step) * 3)
-    largest: NDArray[np.float32] = blocks.max(axis=(1, 3, 5))
-    return largest
+    values = np.asarray(canonical, np.float32)
+    values = reduce(np.maximum, [values[i::step] for i in range(step)])
+    values = reduce(np.maximum, [values[:, i::step] for i in range(step)])
+    return reduce(np.maximum, [values[..., i::step] for i in range(step)])
 
 
 def canonical_iou(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> NDArray[np.float64]:
