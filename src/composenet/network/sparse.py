@@ -25,9 +25,9 @@ class Level:
     """Sites of one resolution.
 
     coords: (N, 4) int64 rows of (batch, x, y, z). table: (N, 27) int64, row of the neighbour at
-    OFFSETS[k], or N where there is none. pairs: for each offset but the centre where any exist, k,
-    rows out and rows in (CPU only, else empty). parent, octant: (N,) int64 into the next coarser level (empty on the
-    coarsest).
+    OFFSETS[k], or N where there is none. pairs: k, rows out and rows in for each offset but the
+    centre that has any (CPU only, else empty). parent, octant: (N,) int64 into the next coarser
+    level (empty on the coarsest).
     """
 
     coords: Tensor
