@@ -73,7 +73,8 @@ def volume_of(quarter: int) -> Volume:
 class Oracle:
     """In place of the network: completion and correspondences are those of the block. Its cells
     within 10 cm of the side turned to the grid's -x are the observed surface. above_m: how much of
-    the block's lower end it does not complete; spilled_m: how far it goes beyond its left side."""
+    the block's lower end it does not complete; spilled_m: how far it goes beyond its left side;
+    notched: whether the quarter at its front and left is missing."""
 
     def __init__(
         self,
@@ -82,13 +83,14 @@ class Oracle:
         collapsed: bool = False,
         above_m: float = 0.0,
         spilled_m: float = 0.0,
+        notched: bool = False,
     ) -> None:
         R, low = volume.T_world_grid[:3, :3], volume.T_world_grid[:3, 3]
         self.R = torch.from_numpy(R.T @ block.R).float()
         self.t = torch.from_numpy(R.T @ (block.center - low)).float()
         self.half = torch.from_numpy(block.extents_m / 2).float()
         self.scale_m, self.collapsed = block.scale_m, collapsed
-        self.above_m, self.spilled_m = above_m, spilled_m
+        self.above_m, self.spilled_m, self.notched = above_m, spilled_m, notched
         self.told: list[torch.Tensor] = []
 
     def object_fields(
@@ -101,6 +103,8 @@ class Oracle:
         low = torch.tensor([0.0, 0.0, self.above_m]) - self.half
         high = torch.tensor([0.0, self.spilled_m, 0.0]) + self.half
         inside = ((local >= low) & (local <= high)).all(dim=-1)
+        if self.notched:
+            inside &= (local[..., :2] < 0).any(dim=-1)
         front = torch.where(inside, points[..., 0], torch.inf).amin(dim=1, keepdim=True)
         surface = inside & (points[..., 0] < front + 0.1)
         nocs = (crops.points(CELLS // 2) - self.t) @ self.R / self.scale_m
@@ -161,10 +165,28 @@ def test_pose_size_and_box_of_a_known_block(quarter: int, shift_m: float) -> Non
     np.testing.assert_allclose(S.t, BLOCK.center, atol=1e-3)
     np.testing.assert_allclose(found.extents_m[:2], BLOCK.extents_m[:2], atol=step)
     assert found.extents_m[2] == pytest.approx(BLOCK.extents_m[2], abs=1e-3)
-    # The pose knows better than the proposal where the box stands.
-    np.testing.assert_allclose(found.box.center, BLOCK.bounds.center, atol=1e-3)
+    # The box stands midway between where the pose and the proposal say.
+    midway = BLOCK.bounds.center + shift_m / 2
+    np.testing.assert_allclose(found.box.center[:2], midway[:2], atol=step / 4)
+    assert found.box.center[2] == pytest.approx(midway[2], abs=1e-3)
     np.testing.assert_allclose(found.box.extents, BLOCK.bounds.extents, atol=1e-3)
     assert found.score == pytest.approx(0.9 * 0.82**0.5, rel=1e-5)
+
+
+@pytest.mark.parametrize("quarter", QUARTERS)
+def test_the_box_is_around_the_object_and_not_around_its_own_box(quarter: int) -> None:
+    """Of an L that stands askew the middles of both are far apart, and its pose is at the one."""
+    volume = volume_of(quarter)
+    corners = np.array([[-1, -1], [1, -1], [1, 0], [0, 1], [-1, 1]]) * BLOCK.extents_m[:2] / 2
+    corners = corners @ BLOCK.R[:2, :2].T + BLOCK.center[:2]
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    assert np.linalg.norm(middle - BLOCK.center[:2]) > 0.1
+    proposals = proposals_of(volume, BLOCK)
+    (found,) = estimated(volume, Oracle(BLOCK, volume, notched=True), proposals)
+    np.testing.assert_allclose(found.S_world_canonical.t, BLOCK.center, atol=1e-3)
+    posed = 2 * found.box.center - BLOCK.bounds.center  # without the proposal's half
+    np.testing.assert_allclose(posed[:2], middle, atol=cell_m(proposals))
+    assert posed[2] == pytest.approx(BLOCK.center[2], abs=1e-3)
 
 
 def test_own_size_of_a_block_that_is_completed_badly() -> None:
@@ -212,8 +234,8 @@ def test_without_completion_only_the_seen_side_is_left() -> None:
     # The grid's -x is the world's +x after half a turn: nothing far behind that side is left.
     assert seen.points_world[:, 0].min() > whole.points_world[:, 0].max() - 0.1 - 1e-3
     assert seen.canonical.sum() < 0.5 * whole.canonical.sum()
-    # The pose is known from these cells alone, and the box stands there, not where it was proposed.
-    np.testing.assert_allclose(seen.box.center, BLOCK.bounds.center, atol=1e-3)
+    # The pose is known from these cells alone, and the box stands midway to the proposal.
+    np.testing.assert_allclose(seen.box.center, BLOCK.bounds.center + 0.03, atol=1e-3)
     np.testing.assert_allclose(seen.box.extents, BLOCK.bounds.extents, atol=1e-3)
 
 

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from composenet.config import Config
 from composenet.detection import Proposals
+from composenet.geometry.affine import apply_affine
 from composenet.geometry.procrustes import SimilarityFit, fit_similarity
 from composenet.geometry.resampling import resampled
 from composenet.network.batch import CropBatch, VolumeBatch
@@ -28,8 +29,8 @@ CANONICAL_CELLS = 64
 class _Completed:
     """Every proposal of a frame, completed and posed, as tensors in the grid frame.
 
-    shown: (M, C, C, C) occupancy in 0..1, 0.5 being the decision. score: (M,).
-    canonical: (M, 64, 64, 64).
+    shown: (M, C, C, C) occupancy in 0..1, 0.5 being the decision. score: (M,). center: (M, 3) of
+    the boxes, metres. canonical: (M, 64, 64, 64).
     """
 
     proposals: Proposals
@@ -37,6 +38,7 @@ class _Completed:
     shown: Tensor
     score: Tensor
     fit: SimilarityFit
+    center: Tensor
     canonical: Tensor
 
 
@@ -51,9 +53,10 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
-    The box is as large as the detector says and stands where the pose says, which errs less. Along
-    the object's own axes it is as long and wide as the completed cells' centres reach and half a
-    cell (least biased on validation), and as high as the detector says: of legs few cells are sure.
+    The box is as large as the detector says and stands midway between where the detector and the
+    pose say, which errs less than either. Along the object's own axes it is as long and wide as the
+    completed cells' centres reach and half a cell (least biased on validation), and as high as the
+    detector says: of legs few cells are sure.
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl.").
     """
@@ -86,9 +89,28 @@ def _complete(
     correspondences = objects.nocs.flatten(2).transpose(1, 2)
     fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
     fit = _with_boxes(fit, proposals, volume)
+    posed = fit.t + _offset(fit, shown, crops) if config.tracking.use_completion else fit.t
     # linear interpolation would wear away a surface that is one cell thick
     canonical = _canonical(shown, crops, fit, nearest=not config.tracking.use_completion)
-    return _Completed(proposals, crops, shown, score, fit, canonical)
+    center = (posed + proposals.center) / 2
+    return _Completed(proposals, crops, shown, score, fit, center, canonical)
+
+
+def _offset(fit: SimilarityFit, shown: Tensor, crops: CropBatch) -> Tensor:
+    """(M, 3) metres, level: from the centre of an object's own box to that of the axis-aligned box
+    around it, by its filled cells. They differ for what is no rectangle from above, as a corner
+    sofa, and does not stand along the axes."""
+    filled = (shown >= 0.5).flatten(1)[..., None]
+    points = crops.points(shown.shape[-1])
+    turned = apply_affine(fit.R.transpose(1, 2), torch.zeros_like(fit.t), points)
+
+    def middle(places: Tensor) -> Tensor:
+        low = torch.where(filled, places, torch.inf).amin(dim=1)
+        return (low + torch.where(filled, places, -torch.inf).amax(dim=1)) / 2
+
+    offset = middle(points) - (fit.R @ middle(turned)[..., None])[..., 0]
+    offset[:, 2] = 0
+    return torch.where(filled.any(dim=1), offset, torch.zeros_like(offset))
 
 
 def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
@@ -139,7 +161,10 @@ def _estimate(i: int, found: _Completed, volume: Volume, config: Config) -> Obje
         R=R_world_grid @ _numpy(found.fit.R[i]),
         t=R_world_grid @ _numpy(found.fit.t[i]) + low,
     )
-    box = Box(similarity.t, np.abs(R_world_grid) @ _numpy(found.proposals.extents[i]))
+    box = Box(
+        R_world_grid @ _numpy(found.center[i]) + low,
+        np.abs(R_world_grid) @ _numpy(found.proposals.extents[i]),
+    )
     points_world = points_grid @ R_world_grid.T + low
     local = (points_world - similarity.t) @ similarity.R
     return ObjectEstimate(

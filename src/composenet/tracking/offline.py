@@ -47,13 +47,11 @@ def link_offline(
     proposals are tracks of one frame here, so they join too. Unless it moves faster than
     furniture can (`association.reach_m`). Repeated until nothing matches. A merged track has
     an entry for every one of the recording's frames (indices, in order) from its birth to its end,
-    and the class of the whole track in each. With use_correspondences off, the tracks are returned
-    as they are.
+    and every track the class of all of it in each of its entries. With use_correspondences off
+    nothing is merged.
     """
-    if not config.use_correspondences:
-        return tuple(tracks)
     groups = [_Group.of(track) for track in sorted(tracks, key=_birth)]
-    while merged := _merge_once(groups, config):
+    while config.use_correspondences and (merged := _merge_once(groups, config)):
         groups = merged
     joined = [_joined(group, frames) for group in groups]
     return tuple(sorted(joined, key=lambda track: track.track_id))

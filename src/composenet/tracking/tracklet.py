@@ -163,8 +163,8 @@ class Tracklet:
             self.extents_m = estimate.extents_m
             self._pose_known = estimate.pose_observable
         else:
-            last = self.S_world_canonical
-            self.S_world_canonical = Similarity(last.scale_m, last.R, estimate.box.center)
+            last, shift = self.S_world_canonical, estimate.box.center - self.box.center
+            self.S_world_canonical = Similarity(last.scale_m, last.R, last.t + shift)
 
     def _see(self, frame_index: int, estimate: ObjectEstimate) -> None:
         self.box = self._steadied(estimate)
