@@ -401,6 +401,11 @@ def test_scores_are_kept_only_for_what_made_them(tmp_path: Path, recordings: Pat
     assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") == "scores"
     assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "no-corr") is None
     assert ScoreCache(folder, CODE, weights, "cpu", True).load(sequence, "full") is None
+    (sequence / "depth").mkdir()
+    (sequence / "depth/0.png").write_bytes(b"other images")
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") is None
+    (sequence / "depth/0.png").unlink()
+    assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") == "scores"
     (sequence / "annotations.json").write_text("[]")
     assert ScoreCache(folder, CODE, weights, "cpu", False).load(sequence, "full") is None
     (sequence / "annotations.json").write_text("{}")

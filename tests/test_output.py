@@ -253,6 +253,30 @@ def test_no_frames_no_tracks_and_empty_reconstruction(tmp_path: Path) -> None:
     assert run.mesh_files == {} and "track 1 has an empty reconstruction" in run.warnings[0]
 
 
+def test_a_driver_may_fill_its_arrays_anew(tmp_path: Path) -> None:
+    """The report's pictures are of the frames as they were when they were given."""
+    pages = []
+    for reused in (False, True):
+        color, depth = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), make_frame(0).depth_m
+        depth = depth.copy()
+        with OutputWriter(tmp_path / str(reused), "s", CAMERA, Config(), replay=False) as writer:
+            for n in range(FRAMES):
+                color[:], depth[:] = 30 * n, make_frame(n).depth_m
+                given = (depth, color) if reused else (depth.copy(), color.copy())
+                frame = dataclasses.replace(make_frame(n), depth_m=given[0], color=given[1])
+                writer.add_frame(frame, entries(n), TIMINGS_MS)
+            writer.finish(tracks())
+        pages.append((tmp_path / str(reused) / "report.html").read_text())
+    assert pages[0] == pages[1]
+
+
+def test_a_name_that_is_no_text_is_no_obstacle(tmp_path: Path) -> None:
+    with OutputWriter(tmp_path, "K\udcfcche", CAMERA, Config(), replay=False) as writer:
+        feed(writer)
+        writer.finish(tracks())
+    assert read_predictions(tmp_path).complete and (tmp_path / "report.html").exists()
+
+
 def test_an_earlier_run_is_replaced_but_other_files_stay(tmp_path: Path) -> None:
     with OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False) as writer:
         feed(writer, 3)

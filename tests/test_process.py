@@ -10,6 +10,8 @@ import time
 
 import pytest
 
+from composenet.process import worker_pool
+
 PARENT = """
 import os, sys, time
 from composenet.process import worker_pool
@@ -56,3 +58,19 @@ def test_workers_end_with_the_process_that_began_them(name: str, tmp_path) -> No
     assert not left
     assert parent.wait(20) != 0
     assert "SpawnProcess" not in parent.stderr.read()  # no traceback of a worker
+
+
+def test_nothing_more_is_begun_after_an_exception(tmp_path) -> None:
+    """As when the program alone is told to stop, its workers not."""
+    with pytest.raises(KeyboardInterrupt), worker_pool(1) as pool:
+        for index in range(30):
+            pool.submit(_leave_a_mark, tmp_path / str(index))
+        while not any(tmp_path.iterdir()):
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+    assert 0 < len(list(tmp_path.iterdir())) < 10
+
+
+def _leave_a_mark(path) -> None:
+    path.touch()
+    time.sleep(0.1)

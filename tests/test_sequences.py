@@ -574,6 +574,76 @@ def test_a_frame_wants_a_pose_of_numbers(T: np.ndarray) -> None:
         Frame(7, depth, Camera(K, WIDTH, HEIGHT), T)
 
 
+@pytest.mark.parametrize(
+    "T", [np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1]), pose(1).T, np.zeros((4, 4))]
+)
+def test_a_frame_wants_a_rigid_pose(T: np.ndarray) -> None:
+    depth = np.ones((HEIGHT, WIDTH), np.float32)
+    with pytest.raises(SequenceError, match="frame 7: T_world_camera is no rigid motion"):
+        Frame(7, depth, Camera(K, WIDTH, HEIGHT), T)
+
+
+def test_a_frame_far_from_the_origin_is_refused() -> None:
+    depth, camera = np.ones((HEIGHT, WIDTH), np.float32), Camera(K, WIDTH, HEIGHT)
+    with pytest.raises(SequenceError, match=r"frame 7: the camera is 5,334 km .* subtract"):
+        Frame(7, depth, camera, make_T(np.eye(3), [691e3, 5334e3, 520]))
+    Frame(7, depth, camera, make_T(np.eye(3), [0, 9000, 0]))
+
+
+@pytest.mark.parametrize(
+    "color",
+    [
+        np.zeros((HEIGHT, WIDTH), np.uint8),
+        np.zeros((HEIGHT, WIDTH, 4), np.uint8),
+        np.zeros((HEIGHT, WIDTH, 3)),
+        np.zeros((2 * HEIGHT, 2 * WIDTH, 3), np.uint8),
+    ],
+)
+def test_a_frame_wants_colour_of_its_size(color: np.ndarray) -> None:
+    depth = np.ones((HEIGHT, WIDTH), np.float32)
+    with pytest.raises(SequenceError, match=r"frame 7: color is .* expected uint8 of shape \(18"):
+        Frame(7, depth, Camera(K, WIDTH, HEIGHT), np.eye(4), color)
+
+
+def test_a_frame_takes_lists_and_no_times_for_numbers() -> None:
+    depth, camera = np.ones((HEIGHT, WIDTH)), Camera(K, WIDTH, HEIGHT)
+    frame = Frame(7, depth.tolist(), camera, np.eye(4).tolist())  # type: ignore[arg-type]
+    np.testing.assert_array_equal(frame.depth_m, depth)
+    np.testing.assert_array_equal(frame.T_world_camera, np.eye(4))
+    with pytest.raises(SequenceError, match=r"index is no count of frames.*timestamp_s"):
+        Frame(1_700_000_000_000, depth, camera, np.eye(4))
+
+
+@pytest.mark.parametrize("bad", [np.eye(4), np.full((3, 3), np.nan), np.diag([0.0, 20, 1])])
+def test_a_camera_wants_a_matrix_of_its_focal_lengths(bad: np.ndarray) -> None:
+    with pytest.raises(SequenceError, match="intrinsics of a 24x18 camera: K is"):
+        Camera(bad, WIDTH, HEIGHT)
+
+
+def test_a_maps_coordinates_are_moved_to_the_origin(plain) -> None:
+    near = open_sequence(plain)
+    far_away = np.array([691e3, 5334e3, 520])
+    for i in range(COUNT):
+        T = pose(i)
+        T[:3, 3] += far_away
+        save_text(plain / f"pose/frame-{i}.txt", T)
+    far = open_sequence(plain)
+    assert "the world's origin was moved to the cameras" in " ".join(far.warnings)
+    places = [np.stack([f.T_world_camera[:3, 3] for f in s]) for s in (near, far)]
+    np.testing.assert_allclose(*(p - p[0] for p in places), atol=1e-6)
+    assert np.abs(places[1]).max() < 10
+    moved = far.T_level_source @ [*far_away, 1]
+    np.testing.assert_allclose(moved[2], near.T_level_source[2, 3], atol=0.01)
+
+
+def test_pose_files_may_have_comments_and_a_byte_order_mark(plain) -> None:
+    expected = [frame.T_world_camera for frame in open_sequence(plain)]
+    for path in (plain / "pose").glob("*.txt"):
+        path.write_bytes(b"\xef\xbb\xbf# camera to world\n" + path.read_bytes() + b"# metres\n")
+    for frame, T in zip(open_sequence(plain), expected, strict=True):
+        np.testing.assert_array_equal(frame.T_world_camera, T)
+
+
 def test_millimetres_are_refused() -> None:
     depth, camera = np.full((HEIGHT, WIDTH), 1500, np.float32), Camera(K, WIDTH, HEIGHT)
     depth[:5] = 0

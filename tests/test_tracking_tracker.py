@@ -44,6 +44,16 @@ def seen_at(outputs):
     ]
 
 
+def test_what_is_told_cannot_be_written_to():
+    """Its arrays are the tracker's own."""
+    _, outputs = run([(None, [thing(3, 0)]), (AWAY, [])])
+    for (entry,) in outputs:
+        S = entry.S_world_canonical
+        for array in (entry.box.center, entry.box.extents, S.R, S.t, entry.extents_m):
+            with pytest.raises(ValueError, match="read-only"):
+                array += 1
+
+
 def test_a_sliding_object_keeps_its_id():
     tracker, outputs = run([(None, [thing(3, 0.1 * step)]) for step in range(10)])
     assert seen_at(outputs) == [[1]] * 10

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import io
 import json
@@ -246,7 +247,7 @@ class _Keepsakes:
 
     def offer(self, position: int, frame: Frame) -> None:
         if position % self._stride == 0:
-            self._kept.append((position, frame))
+            self._kept.append((position, copy.deepcopy(frame)))  # a driver may fill its arrays anew
         if len(self._kept) > 2 * MAX_PICTURES:
             self._kept = self._kept[::2]
             self._stride *= 2

@@ -41,14 +41,15 @@ def keep_freed_memory() -> None:
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Worker processes that die of ctrl-C without a word, and with this process whatever ends it;
-    after an exception nothing more is begun. They are fresh: forking one that has threads (torch)
-    may hang."""
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_begin_worker) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    after an exception nothing more is begun, and what is under way is waited for. They are fresh:
+    forking one that has threads (torch) may hang."""
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_begin_worker)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(cancel_futures=True)  # once: a second time without would undo it
+        raise
+    pool.shutdown()
 
 
 def _begin_worker() -> None:

@@ -33,6 +33,15 @@ FARTHEST_M = 20.0
 """No depth camera measures farther indoors; 16 bits of millimetres end at 65.535."""
 
 
+FARTHEST_CAMERA_M = 10_000.0
+"""Points are kept in single precision: a millimetre here, and half a metre at a map's coordinates
+of five thousand kilometres."""
+
+
+LARGEST_INDEX = 2**31 - 1
+"""Frames are counted in 32 bits."""
+
+
 MILLIMETRES = 100.0
 """An image whose depth is mostly larger than this is not in metres."""
 
@@ -63,23 +72,34 @@ class TrackState(StrEnum):
 
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole intrinsics of the depth image. K: (3, 3) float64, pixels."""
+    """Pinhole intrinsics of the depth image. K: (3, 3) float64, pixels. Raises SequenceError where
+    K is no such matrix."""
 
     K: FloatArray
     width: int
     height: int
 
+    def __post_init__(self) -> None:
+        K = np.asarray(self.K)
+        usable = K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
+        if not usable:
+            raise SequenceError(
+                f"intrinsics of a {self.width}x{self.height} camera: K is {K.tolist()}; expected a "
+                "(3, 3) matrix fx 0 cx, 0 fy cy, 0 0 1 in pixels"
+            )
+
 
 @dataclass(frozen=True)
 class Frame:
     """One RGB-D frame. Raises SequenceError where its depth is not in metres or not the camera's,
-    or its pose is no (4, 4) of finite numbers.
+    its pose no rigid motion or too far off (FARTHEST_CAMERA_M), or its colour of another size.
 
-    depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or beyond FARTHEST_M
-    is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3) uint8 or None
-    (resized to the depth image where the source's differs). T_world_camera: (4, 4) float64,
-    world levelled (z up). pose_known: False where that world is the camera's own levelled frame,
-    so that places in different frames cannot be compared.
+    index: the frame's number; memory and gates count frames by it, so it grows by about one from
+    frame to frame. depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or
+    beyond FARTHEST_M is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3)
+    uint8 or None (resized to the depth image where the source's differs). T_world_camera: (4, 4)
+    float64, world levelled (z up). pose_known: False where that world is the camera's own levelled
+    frame, so that places in different frames cannot be compared.
     """
 
     index: int
@@ -92,27 +112,67 @@ class Frame:
     pose_known: bool = True
 
     def __post_init__(self) -> None:
-        depth, expected = np.asarray(self.depth_m), (self.camera.height, self.camera.width)
-        if depth.shape != expected or not np.issubdtype(depth.dtype, np.floating):
+        what = f"frame {self.index}"
+        if abs(self.index) > LARGEST_INDEX:
+            raise SequenceError(f"{what}: index is no count of frames; give times as timestamp_s")
+        if self.timestamp_s is not None and not np.isfinite(self.timestamp_s):
             raise SequenceError(
-                f"frame {self.index}: depth_m is {depth.dtype} of shape {depth.shape}; "
-                f"expected metres as float32 of shape {expected}, the camera's (height, width)"
+                f"{what}: timestamp_s is {self.timestamp_s}; expected seconds, or None"
             )
-        T = np.asarray(self.T_world_camera)
-        if T.shape != (4, 4) or not np.isfinite(T).all():
-            raise SequenceError(
-                f"frame {self.index}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
-                "frames without a pose out, or give a levelled one and pose_known=False"
-            )
-        measured = (depth >= 0) & (depth <= FARTHEST_M)
-        if not measured.all():
-            finite = depth[(depth > 0) & (depth < np.inf)]
-            if len(finite) and np.median(finite) > MILLIMETRES:
+        object.__setattr__(self, "depth_m", usable_depth(what, self.depth_m, self.camera))
+        object.__setattr__(self, "T_world_camera", _usable_pose(what, self.T_world_camera))
+        if self.color is not None:
+            color, expected = np.asarray(self.color), (self.camera.height, self.camera.width, 3)
+            if color.shape != expected or color.dtype != np.uint8:
                 raise SequenceError(
-                    f"frame {self.index}: depth_m has a median of {np.median(finite):.0f}; "
-                    "expected metres, divide millimetres by 1000"
+                    f"{what}: color is {color.dtype} of shape {color.shape}; expected uint8 of "
+                    f"shape {expected}, or None"
                 )
-            object.__setattr__(self, "depth_m", np.where(measured, depth, 0).astype(depth.dtype))
+            object.__setattr__(self, "color", color)
+
+
+def usable_depth(what: str, depth_m: FloatArray, camera: Camera) -> FloatArray:
+    """Depth (H, W) in metres with 0 where it cannot be; the same array where nothing is to be
+    changed. what: it is of. Raises SequenceError where it is not in metres or not the camera's."""
+    depth, expected = np.asarray(depth_m), (camera.height, camera.width)
+    if depth.shape != expected or not np.issubdtype(depth.dtype, np.floating):
+        raise SequenceError(
+            f"{what}: depth_m is {depth.dtype} of shape {depth.shape}; "
+            f"expected metres as float32 of shape {expected}, the camera's (height, width)"
+        )
+    measured = (depth >= 0) & (depth <= FARTHEST_M)
+    if measured.all():
+        return depth
+    finite = depth[(depth > 0) & (depth < np.inf)]
+    if len(finite) and np.median(finite) > MILLIMETRES:
+        raise SequenceError(
+            f"{what}: depth_m has a median of {np.median(finite):.0f}; "
+            "expected metres, divide millimetres by 1000"
+        )
+    return np.where(measured, depth, 0).astype(depth.dtype)
+
+
+def _usable_pose(what: str, T_world_camera: FloatArray) -> FloatArray:
+    T = np.asarray(T_world_camera)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise SequenceError(
+            f"{what}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
+            "frames without a pose out, or give a levelled one and pose_known=False"
+        )
+    R = T[:3, :3]
+    rotates = np.allclose(R.T @ R, np.eye(3), atol=0.02) and np.linalg.det(R) > 0
+    if not (rotates and np.allclose(T[3], [0, 0, 0, 1], atol=1e-6)):
+        raise SequenceError(
+            f"{what}: T_world_camera is no rigid motion; expected camera to world, a rotation and "
+            "metres, with (0, 0, 0, 1) in its last row"
+        )
+    if (away_m := float(np.abs(T[:3, 3]).max())) > FARTHEST_CAMERA_M:
+        raise SequenceError(
+            f"{what}: the camera is {away_m / 1000:,.0f} km from the world's origin, where single "
+            "precision is too coarse; subtract one place near it from all poses (and are they in "
+            "metres?)"
+        )
+    return T
 
 
 @dataclass(frozen=True)
@@ -137,10 +197,11 @@ class ObjectEstimate:
     """A posed detection: one object in one frame, completed.
 
     class_probabilities: (n_classes,), sum 1. score: 0..1, of being an object and of its likeliest
-    class. box: world, of the whole object, centred where the pose is. S_world_canonical: fitted
-    by Procrustes; pose_observable is False where the correspondences do not fix it (then the
-    similarity is the detector's box with identity rotation). extents_m: (3,) full
-    extents in object axes. points_world: (P, 3) float32, occupied cells.
+    class. box: world, of the whole object; its centre is not the pose's where that is no rectangle
+    from above. S_world_canonical: fitted by Procrustes; pose_observable is False where the
+    correspondences do not fix it (then the similarity is the detector's box with identity
+    rotation). extents_m: (3,) full extents in object axes. points_world: (P, 3) float32, occupied
+    cells.
     canonical: (64, 64, 64) float32 in 0..1, the canonical reconstruction.
     """
 

@@ -15,7 +15,7 @@ from composenet.files import write_atomic
 
 class ScoreCache:
     """One file a sequence and variant, used again only where all that made it is unchanged: the
-    weights, the options, the code and the sequence's ground truth.
+    weights, the options, the code and the sequence's files.
 
     made_by: the modules that make the scores; their code and that of all they import from this
     package counts, so that a change of ours does not undo hours of another system's.
@@ -26,6 +26,7 @@ class ScoreCache:
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
+        self._files: dict[Path, bytes] = {}  # the digests of sequences
         self._common = hashlib.sha256(repr(options).encode())
         for path in (weights, *sources_of(*made_by)):
             self._common.update(hashlib.sha256(path.read_bytes()).digest())
@@ -49,8 +50,19 @@ class ScoreCache:
     def _key(self, sequence: Path, variant: str) -> bytes:
         key = self._common.copy()
         key.update(f"{sequence.resolve()} {variant}".encode())
-        key.update((sequence / "annotations.json").read_bytes())
+        if sequence not in self._files:
+            self._files[sequence] = _digest(sequence)
+        key.update(self._files[sequence])
         return key.hexdigest().encode()
+
+
+def _digest(folder: Path) -> bytes:
+    """Of the names and the contents of all files there."""
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest.update(f"{path.relative_to(folder)} {content}\n".encode())
+    return digest.digest()
 
 
 def kept_sequences(folder: Path) -> Iterator[tuple[str, str, ScoredSequence]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from composenet.errors import SequenceError
 from composenet.geometry.camera import back_project, project
-from composenet.geometry.transform import apply_T
+from composenet.geometry.transform import apply_T, make_T
 from composenet.records import Camera, FloatArray
 from composenet.sequences.source import Source, SourceFrame
 
@@ -86,6 +86,20 @@ def lost_cameras(path: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]
     if lost.mean() >= 0.3:
         raise SequenceError(f"{path}: the camera travels {_metres(far_m.max())}: {_IN_MILLIMETRES}")
     return [frame for frame, is_lost in zip(frames, lost, strict=True) if is_lost]
+
+
+def nearer(camera_centers: FloatArray) -> tuple[FloatArray, list[str]]:
+    """(4, 4) the shift that brings cameras to the origin where they are over 1 km from it, as with
+    a map's coordinates, which single precision cannot tell apart; else none. And a note of it.
+
+    camera_centers: (N, 3), the recording's own world.
+    """
+    middle = np.round(np.median(camera_centers, axis=0))
+    if np.abs(middle).max() <= MAX_SPAN_M:
+        return np.eye(4), []
+    x, y, z = middle
+    note = f"the world's origin was moved to the cameras, by ({x:.0f}, {y:.0f}, {z:.0f}) m"
+    return make_T(np.eye(3), -middle), [note]
 
 
 def check_steps(path: Path, frames: Sequence[SourceFrame]) -> list[str]:

@@ -30,7 +30,7 @@ from composenet.geometry.transform import (
     rotation_z,
 )
 from composenet.gicp import small_gicp
-from composenet.records import Camera, FloatArray
+from composenet.records import Camera, FloatArray, usable_depth
 from composenet.sequences.leveling import CameraLeveler, surface_of
 
 _CELLS_M = (0.4, 0.2, 0.1)
@@ -70,7 +70,8 @@ class Odometry:
         """`T_world_camera` (4, 4) of the next frame; None where too little of it agrees with what
         was seen before. The world is levelled as the first frame shows it: z up, the floor it
         sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving thing should not
-        be trusted."""
+        be trusted. Raises SequenceError where it is not in metres or not the camera's."""
+        depth_m = usable_depth("odometry", depth_m, camera)
         points = back_project(depth_m, camera)[(depth_m > 0) & (depth_m < _FAR_M)]
         if len(points) < _MIN_POINTS:
             return None

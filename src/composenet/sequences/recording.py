@@ -57,6 +57,7 @@ class RecordedSequence:
         source = source.without_poses() if options.odometry else source
         self.has_poses = source.has_poses or options.odometry
         self._source, self._options = source, options
+        self._soon = max(1, _SOON // stride)
         self._skipped: dict[int, tuple[str, str]] = {}
         self._colorless: dict[int, tuple[str, str]] = {}
         self._depth_scale = options.depth_scale or source.depth_scale
@@ -208,9 +209,9 @@ class RecordedSequence:
         if not self._source.has_poses or self._source.levelled:
             return
         for place, depth_m in samples.items():
-            if place + _SOON >= len(self._frames):
+            if place + self._soon >= len(self._frames):
                 continue
-            earlier, later = self._frames[place], self._frames[place + _SOON]
+            earlier, later = self._frames[place], self._frames[place + self._soon]
             assert earlier.T_source_camera is not None and later.T_source_camera is not None
             try:
                 later_m = self._read_depth_m(later, far_m=np.inf)
@@ -233,13 +234,16 @@ class RecordedSequence:
                 self._notes.append("the direction of gravity is of no use without camera poses")
             self._camera_leveler = CameraLeveler.from_samples(list(surfaces.values()))
         elif not self._source.levelled:
-            poses = {p: self._frames[p].T_source_camera for p in surfaces}
-            merged = merge([s.moved(poses[p]) for p, s in surfaces.items()])  # type: ignore[arg-type]
-            T_all = np.stack([f.T_source_camera for f in self._frames])  # type: ignore[misc]
-            up = (T_all[:, :3, :3] @ CAMERA_UP).mean(axis=0)
-            self.T_level_source, notes = level_world(merged, up, self._source.gravity)
+            T_source = np.stack([f.T_source_camera for f in self._frames])  # type: ignore[misc]
+            T_near_source, notes = checks.nearer(T_source[:, :3, 3])
             self._notes += notes
-            self._notes += checks.floor_notes(apply_T(self.T_level_source, T_all[:, :3, 3]))
+            T_all = T_near_source @ T_source
+            merged = merge([s.moved(T_all[p]) for p, s in surfaces.items()])
+            up = (T_all[:, :3, :3] @ CAMERA_UP).mean(axis=0)
+            T_level_near, notes = level_world(merged, up, self._source.gravity)
+            self._notes += notes
+            self._notes += checks.floor_notes(apply_T(T_level_near, T_all[:, :3, 3]))
+            self.T_level_source = T_level_near @ T_near_source
 
     def _read_depth_m(self, frame: SourceFrame, far_m: float | None = None) -> NDArray[np.float32]:
         """Depth (H, W), metres, subsampled, 0 beyond `far_m`. Raises SequenceError with the

@@ -71,16 +71,19 @@ class Source:
 
 
 def read_text(path: Path) -> str:
-    """Text of a file, undecodable bytes replaced. Raises SequenceError."""
+    """Text of a file, undecodable bytes replaced, without a byte order mark. Raises
+    SequenceError."""
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def read_numbers(path: Path, count: int, what: str) -> NDArray[np.float64]:
-    """The `count` numbers of a text file. Raises SequenceError when it holds anything else."""
-    words = read_text(path).replace(",", " ").split()
+    """The `count` numbers of a text file, but for comments (# to the end of a line). Raises
+    SequenceError when it holds anything else."""
+    lines = (line.partition("#")[0] for line in read_text(path).splitlines())
+    words = " ".join(lines).replace(",", " ").split()
     try:
         values = np.array([float(word) for word in words])
     except ValueError:

@@ -74,7 +74,7 @@ def write_report(
         f'<body><main>{body}</main><script type="application/json" id="run-data">{data}</script>'
         f"<script>{SCRIPT}</script></body></html>\n"
     )
-    write_atomic(path, page.encode())
+    write_atomic(path, page.encode(errors="replace"))  # a folder's name may be in no known encoding
 
 
 def _provenance(run: PredictedSequence) -> str:
