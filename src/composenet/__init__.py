@@ -11,7 +11,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from composenet.compiled import keep_compiled_loops
+
 __version__ = "0.1.0"
+
+keep_compiled_loops()
 
 if TYPE_CHECKING:
     from composenet.pipeline import ObjectTracker, load_tracker
