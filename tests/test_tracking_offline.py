@@ -147,6 +147,16 @@ def test_without_correspondences_nothing_is_linked():
     assert link_offline(tracks, FRAMES, replace(CONFIG, use_correspondences=False)) == tracks
 
 
+@pytest.mark.parametrize("use_correspondences", [True, False])
+def test_in_hindsight_every_entry_has_the_class_of_its_track(use_correspondences: bool):
+    one = track(1, "TTTT")
+    doubtful = replace(one.history[0], class_id=TABLE)
+    one = replace(one, history=(doubtful, *one.history[1:]))
+    config = replace(CONFIG, use_correspondences=use_correspondences)
+    (linked,) = link_offline([one], FRAMES, config)
+    assert {entry.class_id for entry in linked.history} == {one.class_id} != {TABLE}
+
+
 @pytest.mark.parametrize(
     ("looked_at_backwards", "told"),
     [
