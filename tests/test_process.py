@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
@@ -60,8 +61,19 @@ def test_workers_end_with_the_process_that_began_them(name: str, tmp_path) -> No
     assert "SpawnProcess" not in parent.stderr.read()  # no traceback of a worker
 
 
-def test_nothing_more_is_begun_after_an_exception(tmp_path) -> None:
-    """As when the program alone is told to stop, its workers not."""
+def test_nothing_more_is_begun_after_an_exception(
+    tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when the program alone is told to stop, its workers not. The pool must be told once: a
+    second time may undo the first, or not, as threads take turns."""
+    told = []
+
+    def shutdown(pool: ProcessPoolExecutor, *arguments: object, **named: object) -> None:
+        told.append((arguments, named))
+        really(pool, *arguments, **named)  # type: ignore[arg-type]
+
+    really = ProcessPoolExecutor.shutdown
+    monkeypatch.setattr(ProcessPoolExecutor, "shutdown", shutdown)
     with pytest.raises(KeyboardInterrupt), worker_pool(1) as pool:
         for index in range(30):
             pool.submit(_leave_a_mark, tmp_path / str(index))
@@ -69,6 +81,7 @@ def test_nothing_more_is_begun_after_an_exception(tmp_path) -> None:
             time.sleep(0.01)
         raise KeyboardInterrupt
     assert 0 < len(list(tmp_path.iterdir())) < 10
+    assert told == [((), {"cancel_futures": True})]
 
 
 def _leave_a_mark(path) -> None:

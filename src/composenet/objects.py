@@ -53,10 +53,10 @@ def estimate_objects(
 ) -> tuple[ObjectEstimate, ...]:
     """Complete and pose every proposal of one frame (batch of one), strongest first.
 
-    The box is as large as the detector says and stands midway between where the detector and the
-    pose say, which errs less than either. Along the object's own axes it is as long and wide as the
-    completed cells' centres reach and half a cell (least biased on validation), and as high as the
-    detector says: of legs few cells are sure.
+    The box is as large as the detector says and stands midway between where the detector says and
+    where the completed cells reach in that pose, which errs less than either. Along the object's
+    own axes it is as long and wide as the completed cells' centres reach and half a cell (least
+    biased on validation), and as high as the detector says: of legs few cells are sure.
     With config.tracking.use_completion False only observed cells carry geometry and
     correspondences (the paper's "no compl.").
     """

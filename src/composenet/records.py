@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
+from composenet.geometry.rigid import is_rigid
 
 FloatArray = NDArray[np.floating]
 
@@ -38,8 +39,8 @@ FARTHEST_CAMERA_M = 10_000.0
 of five thousand kilometres."""
 
 
-LARGEST_INDEX = 2**31 - 1
-"""Frames are counted in 32 bits."""
+LARGEST_INDEX = 2**30
+"""Frames are counted in 32 bits, those that are remembered beside them."""
 
 
 MILLIMETRES = 100.0
@@ -159,9 +160,7 @@ def _usable_pose(what: str, T_world_camera: FloatArray) -> FloatArray:
             f"{what}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
             "frames without a pose out, or give a levelled one and pose_known=False"
         )
-    R = T[:3, :3]
-    rotates = np.allclose(R.T @ R, np.eye(3), atol=0.02) and np.linalg.det(R) > 0
-    if not (rotates and np.allclose(T[3], [0, 0, 0, 1], atol=1e-6)):
+    if not is_rigid(T):
         raise SequenceError(
             f"{what}: T_world_camera is no rigid motion; expected camera to world, a rotation and "
             "metres, with (0, 0, 0, 1) in its last row"

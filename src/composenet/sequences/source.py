@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
+from composenet.geometry.rigid import is_rigid
 from composenet.geometry.transform import rigid_T
 from composenet.records import FloatArray
 
@@ -132,9 +133,7 @@ def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
     """
     if not (np.abs(T) < _MAX_POSE_NUMBER).all():
         return replace(frame, problem="pose is not finite (NaN or inf)")
-    R = T[:3, :3]
-    rigid = np.abs(R).max() < 2 and np.allclose(R.T @ R, np.eye(3), atol=0.02)
-    if not (rigid and np.linalg.det(R) > 0 and np.allclose(T[3], [0, 0, 0, 1], atol=1e-6)):
+    if not is_rigid(T):
         return replace(frame, problem="pose is not rigid (a rotation and a translation expected)")
     return replace(frame, T_source_camera=rigid_T(T))
 
