@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from composenet.errors import DataError
-from composenet.files import write_atomic
+from composenet.files import held, write_atomic
 from composenet.training.checkpoint import read_state, write_state
 
 
@@ -49,3 +49,31 @@ def test_a_checkpoint_survives_a_full_disk(tmp_path: Path, request: pytest.Fixtu
     with pytest.raises(DataError, match=r"checkpoint\.pt: cannot be written"):
         write_state(path, {"format": "test/1", "weights": torch.zeros(5)})
     assert read_state(path, "test/1", {"weights"})["weights"].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path) -> None:
+    with held(tmp_path):
+        with pytest.raises(DataError, match="another run is writing here"), held(tmp_path):
+            pytest.fail("held twice")
+        with held(tmp_path.parent):
+            pass
+    with held(tmp_path):
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_is_free_again_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), held(tmp_path):
+        raise KeyError
+    with held(tmp_path):
+        pass
+
+
+def test_where_there_are_no_locks_everybody_may_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none_here(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", none_here)
+    with held(tmp_path), held(tmp_path):
+        pass

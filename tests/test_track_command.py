@@ -20,7 +20,7 @@ from composenet import cli
 from composenet import config as configuration
 from composenet.commands import track
 from composenet.commands.track import track_recording
-from composenet.errors import DeviceError
+from composenet.errors import DataError, DeviceError
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
 from composenet.predictions import read_predictions
 from composenet.records import Frame
@@ -130,6 +130,22 @@ def test_a_device_that_gives_up_at_once_changes_nothing(
     with pytest.raises(DeviceError, match="out of memory"):
         track_recording(sequence, Watched(tiny_weights, fail), tmp_path, console)  # type: ignore[arg-type]
     assert (tmp_path / "tracks.json").read_text() == before
+
+
+def test_a_second_run_does_not_write_into_the_first_ones_folder(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    console = Console(file=io.StringIO())
+
+    def begin_another(count: int) -> None:
+        if count == 3:
+            again = open_sequence(recordings / "val_00001")
+            with pytest.raises(DataError, match="another run is writing here"):
+                track_recording(again, Watched(tiny_weights, begin_another), tmp_path, console)  # type: ignore[arg-type]
+
+    sequence = open_sequence(recordings / "val_00000")
+    run = track_recording(sequence, Watched(tiny_weights, begin_another), tmp_path, console)  # type: ignore[arg-type]
+    assert run.complete and read_predictions(tmp_path).sequence == "val_00000"
 
 
 def test_other_errors_stay_what_they_are(

@@ -20,6 +20,7 @@ from PIL import Image
 
 from composenet.config import dump
 from composenet.errors import DataError, WeightsError
+from composenet.files import held
 from composenet.network.weights import load_weights
 from composenet.synth.scene import generate_scene
 from composenet.training import data, loop
@@ -53,6 +54,18 @@ def test_one_batch_is_learned(recordings: Path, tmp_path: Path) -> None:
     assert np.mean(totals[25:30]) < 0.7 * np.mean(totals[:3])
     assert ["rotation" in v for v in values] == [False] * 30 + [True] * 3  # the second stage
     assert trainer.progress.step == 33 and trainer.progress.frames == 66
+
+
+def test_a_batch_that_is_not_finite_leaves_nothing_behind(recordings: Path, tmp_path: Path) -> None:
+    trainer = Trainer(CONFIG, options(tmp_path), ALONE)
+    good = batch_of(recordings)
+    trainer.step(good, 1e-3)
+    features = torch.full_like(good.volume.features, torch.nan)
+    bad = replace(good, volume=replace(good.volume, features=features))
+    assert np.isnan(trainer.step(bad, 1e-3)["gradient_norm"])
+    for state in (trainer.module.network.state_dict(), trainer.averaged_network.state_dict()):
+        assert all(torch.isfinite(value).all() for value in state.values())
+    assert np.isfinite(trainer.step(good, 1e-3)["total"])
 
 
 def test_a_run_goes_on_where_it_stopped(recordings: Path, tmp_path: Path) -> None:
@@ -108,6 +121,12 @@ def test_a_start_that_fails_leaves_no_run_behind(
     train(None, run, SceneSource(data_dir=recordings))  # the same again goes on
     assert "goes on from" in capsys.readouterr().out
     assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["progress"].step == 2
+
+
+def test_a_run_that_another_process_is_at_is_left_alone(recordings: Path, tmp_path: Path) -> None:
+    with held(tmp_path), pytest.raises(DataError, match="another run is writing here"):
+        train(CONFIG, options(tmp_path), SceneSource(data_dir=recordings))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_does_not_go_on_with_another_recipe(tmp_path: Path) -> None:

@@ -1,8 +1,11 @@
-"""Files that are whole or not there."""
+"""Files that are whole or not there, folders that one run at a time writes to."""
 
 from __future__ import annotations
 
-from contextlib import suppress
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from composenet.errors import DataError
@@ -23,3 +26,22 @@ def write_atomic(path: Path, data: bytes) -> Path:
             part.unlink(missing_ok=True)
         raise DataError(f"{path}: cannot be written ({error.strerror})") from None
     return path
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The folder, which must exist, is this run's alone, until it ends, however it does. Raises
+    DataError where it is another's. File systems that know no locks let everybody in."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise DataError(
+                    f"{folder}: another run is writing here; wait for its end, or give another "
+                    "--out folder"
+                ) from None
+        yield
+    finally:
+        os.close(handle)

@@ -16,6 +16,7 @@ from composenet.commands.progress import progress_bar, watched
 from composenet.commands.terminal import say, warn
 from composenet.config import load as load_config
 from composenet.errors import DataError, DeviceError
+from composenet.files import held
 from composenet.predictions import PredictedSequence
 from composenet.result_folder import claim
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
@@ -42,8 +43,8 @@ def track_recording(
 ) -> PredictedSequence:
     """Track every frame and write the result folder; ctrl-C keeps what is done. A tracker that
     looks twice (tracking.offline) sees a recording with poses once more, backwards. Warnings are
-    said as soon as they are known. Raises DeviceError where the device gives up, and then keeps
-    what is done, too."""
+    said as soon as they are known. Raises DataError where another run is writing to the folder,
+    DeviceError where the device gives up, and then keeps what is done, too."""
     from composenet.metrics.report import source_commit
     from composenet.output import OutputWriter
 
@@ -60,7 +61,7 @@ def track_recording(
     told = [*sequence.warnings, *notes]
     for line in told:
         warn(console, line)
-    with writer, _interruptible() as stop, progress_bar(console) as progress:
+    with held(out), writer, _interruptible() as stop, progress_bar(console) as progress:
         writer.warn_of_recording(told)
         name, count = sequence.name, len(sequence)
 

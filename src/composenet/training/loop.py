@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -17,6 +17,7 @@ from torch.optim.swa_utils import AveragedModel
 
 from composenet.config import flat, to_dict
 from composenet.errors import ComposenetError, DataError, WeightsError
+from composenet.files import held
 from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
 from composenet.training.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -104,6 +105,8 @@ class Trainer:
         if torch.isfinite(norm):
             self.optimizer.step()
             self.average.update_parameters(self.module.network)
+        else:
+            self._forget_batch()
         self.progress.step += 1
         self.progress.frames += batch.volume.size * self.group.size
         told = losses | {"total": total, "gradient_norm": norm}
@@ -112,6 +115,13 @@ class Trainer:
             told["completion_iou"] = errors.completion_iou.mean()
         numbers = torch.stack([value.detach() for value in told.values()]).tolist()
         return dict(zip(told, numbers, strict=True))
+
+    @torch.no_grad()
+    def _forget_batch(self) -> None:
+        """After a step that cannot be taken: the normalisations' means have taken in its batch."""
+        kept = self.average.module.buffers()
+        for own, mean in zip(self.module.network.buffers(), kept, strict=True):
+            own.copy_(mean)
 
     def save(self) -> None:
         """Checkpoint and, beside it, the averaged weights."""
@@ -189,27 +199,29 @@ def train(config: TrainingConfig | None, options: RunOptions, source: SceneSourc
     """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path. config: see
     `Trainer`.
 
-    Raises WeightsError where a checkpoint or weights cannot be used, DataError for bad data.
+    Raises WeightsError where a checkpoint or weights cannot be used, DataError for bad data and
+    where another run is writing to the folder.
     """
     group = Group.start(options.device)
     if options.threads:
         torch.set_num_threads(options.threads)
     options.out.mkdir(parents=True, exist_ok=True)
-    trainer = Trainer(config, options, group)
-    log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
-    begun_at = trainer.progress.step
-    if begun_at and options.start_from:
-        log.say(f"goes on from {trainer.checkpoint_path}; --start-from is for a new --out")
-    finished = False
-    try:
-        with StopRequest() as stop:
-            _run(trainer, options, source, log, stop)
-        finished = True
-    finally:
-        if finished or trainer.progress.step > begun_at:
-            trainer.save()
-        log.close()
-        group.stop()
+    with nullcontext() if group.rank else held(options.out):
+        trainer = Trainer(config, options, group)
+        log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
+        begun_at = trainer.progress.step
+        if begun_at and options.start_from:
+            log.say(f"goes on from {trainer.checkpoint_path}; --start-from is for a new --out")
+        finished = False
+        try:
+            with StopRequest() as stop:
+                _run(trainer, options, source, log, stop)
+            finished = True
+        finally:
+            if finished or trainer.progress.step > begun_at:
+                trainer.save()
+            log.close()
+            group.stop()
     return options.out / "weights.safetensors"
 
 
