@@ -255,6 +255,16 @@ def test_predictions_are_scored_against_their_own_sequence(
     assert numbers(tmp_path / "scores")["predictions"]["sequences"] == 1
 
 
+def test_predictions_of_some_frames_are_not_scored_as_all(
+    run, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    own, out = recordings / "val_00000", tmp_path / "some"
+    assert run("track", own, "--out", out, "--weights", tiny_weights, "--max-frames", 4) == 0
+    scores = ("--out", tmp_path / "scores", "--predictions", out)
+    assert run("eval", "--data", own, *scores) == 1
+    assert "tells of 4 of the 6 frames of val_00000" in capsys.readouterr().err
+
+
 def test_perfect_predictions_score_perfectly(recordings: Path, tracked: Path) -> None:
     """The truth itself, in the world of the tracker, has MOTA 1: frames and ids line up."""
     from composenet.commands.scoring import moved_truth

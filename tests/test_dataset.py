@@ -1,6 +1,9 @@
 """What is written comes back exactly; nothing is ever half written."""
 
+import errno
 import json
+import os
+import socket
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,6 +116,40 @@ def test_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(dataset, "canonical_mesh", stop)
     with pytest.raises(KeyboardInterrupt):
         dataset.write_split("val", 1, tmp_path, 0, OPTIONS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path: Path) -> None:
+    """But not what another run, here or elsewhere, is at."""
+    here, gone, me = socket.gethostname(), 2**22 + 1, os.getpid()
+    names = {f".val_00009.partial-{host}-{pid}" for host, pid in ((here, me), ("other", gone))}
+    for name in (*names, f".val_00009.partial-{here}-{gone}"):
+        (tmp_path / name / "depth").mkdir(parents=True)
+    dataset.write_split("val", 1, tmp_path, 5, OPTIONS)
+    assert {path.name for path in tmp_path.iterdir()} == {*names, "val_00005"}
+
+
+def test_a_sequence_that_another_run_has_written_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = dataset.write_sequence
+
+    def late(scene: Scene, folder: Path) -> None:
+        write(scene, folder)
+        write(scene, folder)
+
+    monkeypatch.setattr(dataset, "write_sequence", late)
+    assert dataset.write_split("val", 1, tmp_path, 5, OPTIONS) == (tmp_path / "val_00005",)
+    assert [path.name for path in tmp_path.iterdir()] == ["val_00005"]
+
+
+def test_a_full_disk_names_the_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(dataset, "canonical_mesh", full)
+    with pytest.raises(DataError, match=r"val_00005: cannot be written \(No space left"):
+        dataset.write_split("val", 1, tmp_path, 5, OPTIONS)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -32,6 +35,17 @@ def test_an_earlier_result_may_be_replaced(tmp_path: Path) -> None:
     left = sorted(p.name for p in folder.rglob("*") if p.is_file())
     assert left == ["notes.txt", "tracks.json"]
     claim(folder)  # were it killed here
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_of_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(**_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    with pytest.raises(DataError, match=r"cannot write the result here .*--out"):
+        claim(tmp_path)
 
 
 @pytest.mark.parametrize(

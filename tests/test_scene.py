@@ -215,6 +215,12 @@ def test_images_on_request() -> None:
     assert np.median(error) < 0.05
 
 
+def test_a_flat_mesh_is_named(tmp_path: Path) -> None:
+    write_cad(tmp_path, "chair", trimesh.creation.box([0.5, 0.001, 0.5]))
+    with pytest.raises(DataError, match=r"chair/\S+: only 0\.001 m thick"):
+        cad.load_shape(cad.load_library(tmp_path)["chair"][0], "chair")
+
+
 def write_cad(folder: Path, class_name: str, mesh: trimesh.Trimesh) -> None:
     (folder / class_name).mkdir(parents=True, exist_ok=True)
     mesh.export(folder / class_name / "one.obj")

@@ -187,9 +187,16 @@ def test_wide_images_are_subsampled_exactly(plain):
 
 def test_generated_worlds_are_left_as_they_are(tmp_path):
     root = write_scannet(tmp_path / "s")
-    (root / "annotations.json").write_text("{}")
+    (root / "annotations.json").write_text('{"version": 1, "generator_version": 3}')
     sequence = open_sequence(root)
     np.testing.assert_array_equal(sequence.T_level_source, np.eye(4))
+
+
+@pytest.mark.parametrize("text", ['{"images": [], "annotations": []}', "[1]", "no JSON"])
+def test_labels_of_others_do_not_make_a_world_level(tmp_path, text):
+    root = write_scannet(tmp_path / "s")
+    (root / "annotations.json").write_text(text)
+    assert not np.array_equal(open_sequence(root).T_level_source, np.eye(4))
 
 
 def test_garbage_depth_is_dropped(plain):
@@ -662,3 +669,39 @@ def test_what_no_camera_measures_is_nothing() -> None:
     assert (frame.depth_m[0, :5] == 0).all() and (frame.depth_m.ravel()[5:] == 2).all()
     assert frame.depth_m.dtype == np.float32
     np.testing.assert_array_equal(depth, given)  # the caller's image stays
+
+
+def test_a_frame_is_numbered_by_a_whole_number() -> None:
+    frame = make_own_frame(np.int64(7))
+    assert type(frame.index) is int and frame.index == 7
+    with pytest.raises(SequenceError, match=r"frame 0\.5: index is no whole number.*timestamp_s"):
+        make_own_frame(0.5)
+
+
+def make_own_frame(index) -> Frame:
+    return Frame(index, np.ones((HEIGHT, WIDTH), np.float32), Camera(K, WIDTH, HEIGHT), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        K.T,
+        K / WIDTH,
+        np.diag([3.0, 3.0, 1.0]) @ K,
+        "K",
+        None,
+    ],
+    ids=["transposed", "shares", "of a larger image", "text", "none"],
+)
+def test_intrinsics_of_something_else_are_refused(given) -> None:
+    with pytest.raises(SequenceError, match="intrinsics of a 24x18 camera: K is"):
+        Camera(given, WIDTH, HEIGHT)
+
+
+def test_intrinsics_may_be_lists_and_are_the_cameras_own() -> None:
+    given = K.copy()
+    camera, listed = Camera(given, WIDTH, HEIGHT), Camera(K.tolist(), WIDTH, HEIGHT)
+    given[0, 0] = 1e9
+    np.testing.assert_array_equal(camera.K, K)
+    np.testing.assert_array_equal(listed.K, K)
+    assert listed.K.dtype == np.float64

@@ -21,7 +21,7 @@ from PIL import Image
 from composenet.config import dump
 from composenet.errors import DataError, WeightsError
 from composenet.files import held
-from composenet.network.weights import load_weights
+from composenet.network.weights import load_weights, save_weights
 from composenet.synth.scene import generate_scene
 from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
@@ -127,6 +127,55 @@ def test_a_run_that_another_process_is_at_is_left_alone(recordings: Path, tmp_pa
     with held(tmp_path), pytest.raises(DataError, match="another run is writing here"):
         train(CONFIG, options(tmp_path), SceneSource(data_dir=recordings))
     assert not list(tmp_path.iterdir())
+
+
+def test_weights_without_their_checkpoint_are_not_replaced(
+    recordings: Path, tmp_path: Path
+) -> None:
+    weights = train(CONFIG, options(tmp_path), SceneSource(data_dir=recordings))
+    (tmp_path / "checkpoint.pt").unlink()
+    before = weights.read_bytes()
+    with pytest.raises(WeightsError, match="--start-from"):
+        train(CONFIG, options(tmp_path), SceneSource(data_dir=recordings))
+    assert weights.read_bytes() == before
+
+
+def test_a_run_without_a_step_leaves_nothing_to_go_on_from(
+    recordings: Path, tmp_path: Path
+) -> None:
+    run = options(tmp_path, max_minutes=1e-9, max_steps=None, validation_scenes=0)
+    assert not train(CONFIG, run, SceneSource(data_dir=recordings)).exists()
+    assert not (tmp_path / "checkpoint.pt").exists()
+
+
+def test_weights_bring_their_configuration(tmp_path: Path, tiny_weights: Path) -> None:
+    network, config, notes = load_weights(tiny_weights)
+    other = replace(config, volume=replace(config.volume, memory_frames=7))
+    save_weights(network, other, tmp_path / "other.safetensors", notes)
+    run = options(tmp_path / "run", start_from=tmp_path / "other.safetensors")
+    begun = Trainer(None, run, ALONE)
+    assert begun.config.model == other and not begun.notes
+    asked = Trainer(CONFIG, run, ALONE)
+    assert asked.config == CONFIG
+    (note,) = asked.notes
+    assert "volume.memory_frames 7; this run has 900" in note
+
+
+def test_a_run_that_goes_on_with_other_scenes_says_so(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    run = options(tmp_path, max_steps=1, validation_scenes=0)
+    for _ in range(2):
+        train(CONFIG, run, SceneSource(data_dir=recordings))
+    assert "before, it learned from" not in capsys.readouterr().out
+    train(CONFIG, run, SceneSource(data_dir=recordings / "."))  # the same
+    train(CONFIG, run, SceneSource())
+    said = capsys.readouterr().out
+    assert said.count("before, it learned from") == 1
+    assert (
+        f"goes on with generated rooms; before, it learned from the sequences of {recordings}"
+        in said
+    )
 
 
 def test_a_run_does_not_go_on_with_another_recipe(tmp_path: Path) -> None:

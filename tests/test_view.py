@@ -238,6 +238,19 @@ def test_without_rerun_the_replay_is_nothing(tmp_path: Path, monkeypatch) -> Non
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("error", [AttributeError("StateTimelineView"), ImportError("pyarrow")])
+def test_another_rerun_is_no_reason_not_to_track(
+    error: Exception, tmp_path: Path, monkeypatch
+) -> None:
+    def unfit(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(replay, "RerunReplay", unfit)
+    hint = replay.open_replay(tmp_path / "replay.rrd", "s").hint
+    assert "does not fit" in hint and str(error) in hint and "\n" not in hint
+
+
 @pytest.mark.parametrize("which", ["WEB_PORT", "DATA_PORT"])
 def test_a_taken_port_is_said(which: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())

@@ -5,6 +5,7 @@ Frames, axes and units are those of CONVENTIONS.md.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -74,20 +75,34 @@ class TrackState(StrEnum):
 @dataclass(frozen=True)
 class Camera:
     """Pinhole intrinsics of the depth image. K: (3, 3) float64, pixels. Raises SequenceError where
-    K is no such matrix."""
+    K is no such matrix, or cannot be that of an image of this size."""
 
     K: FloatArray
     width: int
     height: int
 
     def __post_init__(self) -> None:
-        K = np.asarray(self.K)
-        usable = K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
-        if not usable:
+        try:
+            K = np.array(self.K, dtype=np.float64)
+        except (TypeError, ValueError):
+            K = np.zeros(0)
+        if K.shape != (3, 3) or not _possible(K, self.width, self.height):
+            told = K.tolist() if K.size else self.K
             raise SequenceError(
-                f"intrinsics of a {self.width}x{self.height} camera: K is {K.tolist()}; expected a "
-                "(3, 3) matrix fx 0 cx, 0 fy cy, 0 0 1 in pixels"
+                f"intrinsics of a {self.width}x{self.height} camera: K is {told}; expected a "
+                "(3, 3) matrix fx 0 cx, 0 fy cy, 0 0 1 in pixels of the depth image (halve them "
+                "with it)"
             )
+        object.__setattr__(self, "K", K)
+
+
+def _possible(K: FloatArray, width: int, height: int) -> bool:
+    """Whether K (3, 3) may be the intrinsics of an image of this size."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    if not np.isfinite(K).all() or not np.allclose(K[2], (0, 0, 1)):
+        return False
+    focal_fits = 0.1 * width < min(fx, fy) and max(fx, fy) < 20 * width
+    return bool(focal_fits and 0 < cx < width and 0 < cy < height)
 
 
 @dataclass(frozen=True)
@@ -114,6 +129,12 @@ class Frame:
 
     def __post_init__(self) -> None:
         what = f"frame {self.index}"
+        try:
+            object.__setattr__(self, "index", operator.index(self.index))
+        except TypeError:
+            raise SequenceError(
+                f"{what}: index is no whole number; give times as timestamp_s"
+            ) from None
         if abs(self.index) > LARGEST_INDEX:
             raise SequenceError(f"{what}: index is no count of frames; give times as timestamp_s")
         if self.timestamp_s is not None and not np.isfinite(self.timestamp_s):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,8 @@ def claim(folder: Path) -> None:
     result would replace and that are none of one."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):  # whether it can be written to
+            pass
         foreign = _files(folder)
     if _is_tracks(folder / TRACKS_JSON):
         foreign = [] if _may_be_config(folder / CONFIG) else [folder / CONFIG]

@@ -89,9 +89,15 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
         )
     if not run.frames:
         raise DataError(f"{own}: no tracked frame in it; run `composenet track {folder}` first")
+    truth = read_truth(folder)
+    if len(run.frames) < len(truth.frames):
+        raise DataError(
+            f"{own}: tells of {len(run.frames)} of the {len(truth.frames)} frames of {name}; track "
+            "all of them, without --stride and --max-frames and to the end"
+        )
     first = run.frames[0]
     T_source_camera = np.loadtxt(folder / "pose" / f"{first.name}.txt")
-    truth = moved_truth(read_truth(folder), first.T_world_camera @ np.linalg.inv(T_source_camera))
+    truth = moved_truth(truth, first.T_world_camera @ np.linalg.inv(T_source_camera))
     by_index = {frame.index: frame.objects for frame in run.frames}
     tracked = [by_index.get(i, ()) for i in range(len(truth.frames))]
     return score_tracks(truth, tracked, canonical=run.canonical)

@@ -37,7 +37,12 @@ class ScoreCache:
         if not path.is_file():
             return None
         key, _, stored = path.read_bytes().partition(b"\n")
-        return pickle.loads(stored) if key == self._key(sequence, variant) else None
+        if key != self._key(sequence, variant):
+            return None
+        try:
+            return pickle.loads(stored)
+        except (EOFError, pickle.UnpicklingError):  # cut off: another program's doing
+            return None
 
     def save(self, sequence: Path, variant: str, scores: ScoredSequence) -> None:
         """Keep the scores; the file appears whole."""

@@ -41,5 +41,6 @@ def run_train(
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
     weights = train(training_config(config) if config else None, options, source)
     if os.environ.get("RANK", "0") == "0":
-        say(Console(), f"wrote {weights}; try it: composenet demo --weights {weights}")
+        done = f"wrote {weights}; try it: composenet demo --weights {weights}"
+        say(Console(), done if weights.exists() else "stopped before the first step: wrote nothing")
     return 0

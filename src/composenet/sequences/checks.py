@@ -31,14 +31,14 @@ def check_camera(source: Source, K: FloatArray | None, width: int, height: int) 
             f"{source.path}: no intrinsics; give --intrinsics fx,fy,cx,cy (pixels of the "
             f"{width}x{height} depth images) or write {source.intrinsics_file}"
         )
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    focal_fits = 0.1 * width < min(fx, fy) and max(fx, fy) < 20 * width
-    if not (np.isfinite(K).all() and focal_fits and 0 < cx < width and 0 < cy < height):
+    try:
+        return Camera(K, width, height)
+    except SequenceError:
+        fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
         raise SequenceError(
             f"{source.path}: intrinsics fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g} cannot belong to "
             f"{width}x{height} depth images; check {source.intrinsics_file} or --intrinsics"
-        )
-    return Camera(K=np.asarray(K, dtype=np.float64), width=width, height=height)
+        ) from None
 
 
 def camera_notes(camera: Camera) -> list[str]:

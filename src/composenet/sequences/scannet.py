@@ -12,6 +12,7 @@ annotations.json         only our generator's: its world is z-up, its floor at z
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from composenet.sequences.folder import POSES_FILE, frames_with_poses, matched_frames
@@ -38,6 +39,15 @@ def read_source(path: Path) -> Source:
         poses_file=POSES_FILE,
         depth_scale=1000.0,
         gravity=read_gravity(path),
-        levelled=has_poses and (path / "annotations.json").is_file(),
+        levelled=has_poses and _is_generated(path / "annotations.json"),
         warnings=warnings,
     )
+
+
+def _is_generated(annotations: Path) -> bool:
+    """Whether they are our generator's, and not somebody's labels of the same name."""
+    try:
+        data = json.loads(annotations.read_text())
+    except (OSError, ValueError):
+        return False
+    return isinstance(data, dict) and "generator_version" in data

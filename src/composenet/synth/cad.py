@@ -22,6 +22,7 @@ from composenet.synth.shape import Material, Shape
 
 SUFFIXES = (".obj", ".ply", ".off", ".stl", ".glb")
 SYMMETRY_IOU = 0.92
+THINNEST_M = 0.01
 _SYMMETRY_CELLS = 32
 
 
@@ -66,6 +67,8 @@ def load_shape(path: Path, class_name: str) -> Shape:
     longest = float((high - low).max())
     if not 0.1 <= longest <= 10.0:
         raise DataError(f"{path}: {longest:.3g} m long; expected furniture in metres")
+    if (thinnest := float((high - low).min())) < THINNEST_M:
+        raise DataError(f"{path}: only {thinnest:.3g} m thick; expected a solid piece of furniture")
     shape = Shape(
         class_name=class_name,
         style=f"cad:{path.parent.name}/{path.name}",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed
 from functools import partial
@@ -53,6 +54,8 @@ from composenet.synth.scene import (
 from composenet.synth.solid import canonical_mesh
 
 ANNOTATION_VERSION = 1
+_PARTIAL = ".partial-"
+_HERE = socket.gethostname()
 Result = TypeVar("Result")
 
 
@@ -75,6 +78,7 @@ def write_split(
         raise DataError(
             f"{out}: cannot write sequences here ({error.strerror}); give another --out folder"
         ) from None
+    _remove_leftovers(out)
     work = partial(_write_one, split, out=out, options=options)
     return tuple(_map(work, range(start, start + count), workers, f"writing {split}"))
 
@@ -92,14 +96,35 @@ def measure_split(
 
 
 def write_sequence(scene: Scene, folder: Path) -> None:
-    """Write one sequence to `folder`, which must not exist; it appears only when complete."""
-    partial_folder = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    """Write one sequence to `folder`, which must not exist; it appears only when complete. Raises
+    DataError where it cannot be written."""
+    partial_folder = folder.with_name(f".{folder.name}{_PARTIAL}{_HERE}-{os.getpid()}")
     shutil.rmtree(partial_folder, ignore_errors=True)
     try:
         _write_files(scene, partial_folder)
         partial_folder.rename(folder)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
     finally:
         shutil.rmtree(partial_folder, ignore_errors=True)
+
+
+def _remove_leftovers(out: Path) -> None:
+    """Unfinished sequences of processes of this machine that were killed."""
+    for folder in out.glob(f".*{_PARTIAL}{_HERE}-*"):
+        writer = folder.name.rpartition("-")[2]
+        if writer.isdecimal() and not _is_running(int(writer)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
 
 
 def read_truth(folder: Path) -> SequenceTruth:
@@ -127,7 +152,13 @@ def _write_one(split: str, index: int, *, out: Path, options: SceneOptions) -> P
     if folder.exists():
         _check_same(folder, split, index, options)
         return folder
-    write_sequence(generate_scene(split, index, options), folder)
+    scene = generate_scene(split, index, options)
+    try:
+        write_sequence(scene, folder)
+    except DataError:
+        if not folder.exists():
+            raise
+        _check_same(folder, split, index, options)  # another run was faster
     return folder
 
 

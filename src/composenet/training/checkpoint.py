@@ -19,12 +19,14 @@ FORMAT = "composenet.checkpoint/1"
 
 @dataclasses.dataclass
 class Progress:
-    """What was done so far. scenes: scenes drawn, so that a resumed run sees new ones."""
+    """What was done so far. scenes: scenes drawn, so that a resumed run sees new ones. source:
+    where they came from, in words."""
 
     step: int = 0
     frames: int = 0
     scenes: int = 0
     seconds: float = 0.0
+    source: str = ""
 
     def notes(self, device: torch.device, seed: int) -> dict[str, Any]:
         """What a weights file says of the run that made it."""

@@ -53,6 +53,16 @@ class SceneSource:
     data_dir: Path | None = None
     """sequences on disk instead, all of them, over and over"""
 
+    @property
+    def told(self) -> str:
+        """In words."""
+        if self.data_dir is not None:
+            return f"the sequences of {self.data_dir.resolve()}"
+        if self.cad_dir is None:
+            return "generated rooms"
+        folder = self.cad_dir.resolve()
+        return f"generated rooms, {self.cad_share:.0%} of their furniture from {folder}"
+
     def scene(self, index: int) -> Scene | DiskScene:
         """Scene `index`."""
         if self.data_dir is not None:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
-from composenet.config import flat, to_dict
+from composenet.config import Config, flat, to_dict
 from composenet.errors import ComposenetError, DataError, WeightsError
 from composenet.files import held
 from composenet.network.model import ComposeNet
@@ -56,20 +56,26 @@ class Trainer:
     """State of one run: network, moving average, optimiser, progress."""
 
     def __init__(self, config: TrainingConfig | None, options: RunOptions, group: Group) -> None:
-        """config: None where the run has begun is its own, else the default. Raises WeightsError,
-        also for another than the run's own."""
+        """config: None is that of the run where it has begun, else that of the weights to begin
+        from, else the default. notes: what a user should know. Raises WeightsError, also for
+        another configuration than the run's own."""
         self.options, self.group = options, group
         self.checkpoint_path = options.out / "checkpoint.pt"
         resumed = load_checkpoint(self.checkpoint_path) if self.checkpoint_path.exists() else None
+        start = None
+        self.notes: tuple[str, ...] = ()
         if resumed:
             _refuse_other(config, resumed["config"], self.checkpoint_path)
+        elif options.start_from:
+            start, own, _ = load_weights(options.start_from)
+            config = config or TrainingConfig(model=own)
+            self.notes = _differences(config.model, own, options.start_from)
         self.config = config = resumed["config"] if resumed else config or TrainingConfig()
         torch.manual_seed(config.seed)
         self.progress = resumed["progress"] if resumed else Progress()
         self.module = LossModule(config).to(group.device)
-        if options.start_from and not resumed:
-            start, _, _ = load_weights(options.start_from)
-            with _fitting(options.start_from):
+        if start is not None:
+            with _fitting(cast(Path, options.start_from)):
                 self.module.network.load_state_dict(start.state_dict())
         self.average = AveragedModel(
             self.module.network,
@@ -162,6 +168,16 @@ def _warm_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], No
     return average
 
 
+def _differences(model: Config, own: Config, path: Path) -> tuple[str, ...]:
+    """What a run has otherwise than the weights of a file that it begins from."""
+    there, here = flat(to_dict(own)), flat(to_dict(model))
+    return tuple(
+        f"{path} was made with {name} {there[name]}; this run has {value}"
+        for name, value in here.items()
+        if value != there[name]
+    )
+
+
 def _refuse_other(asked: TrainingConfig | None, own: TrainingConfig, path: Path) -> None:
     """Raises WeightsError where a run is to go on with another configuration than its own."""
     if asked is None or asked == own:
@@ -196,8 +212,8 @@ def learning_rate(config: TrainingConfig, steps_done: int, run_share: float) -> 
 
 
 def train(config: TrainingConfig | None, options: RunOptions, source: SceneSource) -> Path:
-    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path. config: see
-    `Trainer`.
+    """Train until --max-minutes, --max-steps or ctrl-C; returns the weights' path, where there are
+    none if that came before the first step. config: see `Trainer`.
 
     Raises WeightsError where a checkpoint or weights cannot be used, DataError for bad data and
     where another run is writing to the folder.
@@ -206,23 +222,43 @@ def train(config: TrainingConfig | None, options: RunOptions, source: SceneSourc
     if options.threads:
         torch.set_num_threads(options.threads)
     options.out.mkdir(parents=True, exist_ok=True)
+    _keep_weights(options.out)
     with nullcontext() if group.rank else held(options.out):
         trainer = Trainer(config, options, group)
         log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
         begun_at = trainer.progress.step
         if begun_at and options.start_from:
             log.say(f"goes on from {trainer.checkpoint_path}; --start-from is for a new --out")
-        finished = False
+        for note in (*trainer.notes, *_other_source(trainer.progress, source)):
+            log.say(note)
+        trainer.progress.source = source.told
         try:
             with StopRequest() as stop:
                 _run(trainer, options, source, log, stop)
-            finished = True
         finally:
-            if finished or trainer.progress.step > begun_at:
+            if trainer.progress.step > begun_at:
                 trainer.save()
             log.close()
             group.stop()
     return options.out / "weights.safetensors"
+
+
+def _keep_weights(out: Path) -> None:
+    """Raises WeightsError where a new run would replace weights that it does not go on from."""
+    weights = out / "weights.safetensors"
+    if weights.exists() and not (out / "checkpoint.pt").exists():
+        raise WeightsError(
+            f"{weights}: there is no checkpoint.pt beside it to go on from, and a new run would "
+            f"replace it; give another --out, with --start-from {weights} to begin from it"
+        )
+
+
+def _other_source(progress: Progress, source: SceneSource) -> tuple[str, ...]:
+    """What is to be said where a run goes on with other scenes than before."""
+    before = progress.source
+    return (f"goes on with {source.told}; before, it learned from {before}",) * (
+        before not in ("", source.told)
+    )
 
 
 def _run(

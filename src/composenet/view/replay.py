@@ -24,6 +24,10 @@ from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, Tr
 from composenet.view.figures import STATE_COLORS, label_of, track_color
 
 INSTALL_HINT = "no replay.rrd: rerun is not installed; pip install 'composenet[viz]' adds it"
+OTHER_RERUN = (
+    "no replay.rrd: the rerun that is installed does not fit; pip install 'composenet[viz]' brings "
+    "one that does"
+)
 WEB_PORT, DATA_PORT = 9090, 9876
 """rerun's own: of its web viewer, and of what it shows"""
 FLUSH_S = 60.0
@@ -62,10 +66,14 @@ class NoReplay:
 
 
 def open_replay(path: Path, name: str) -> Replay:
-    """A replay that writes to `path`, or NoReplay with a hint where rerun is not installed."""
+    """A replay that writes to `path`, or NoReplay with a hint where rerun is not installed, or
+    another one than this program was made for."""
     if importlib.util.find_spec("rerun") is None:
         return NoReplay(INSTALL_HINT)
-    return RerunReplay(path, name)
+    try:
+        return RerunReplay(path, name)
+    except (ImportError, AttributeError, TypeError) as error:
+        return NoReplay(f"{OTHER_RERUN} ({error})")
 
 
 def serve_replay(path: Path, console: Console) -> None:
