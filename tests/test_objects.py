@@ -14,7 +14,12 @@ from composenet.geometry.box import OrientedBox, aabb_of_oriented
 from composenet.geometry.transform import angle_between_deg, make_T, rotation_z
 from composenet.network.batch import CropBatch, VolumeBatch, collate
 from composenet.network.detection_head import VoxelFields
-from composenet.network.object_net import HEADING_BINS, ObjectFields, scatter_features
+from composenet.network.object_net import (
+    HEADING_BINS,
+    ObjectFields,
+    likeliest_heading,
+    scatter_features,
+)
 from composenet.objects import estimate_objects
 from composenet.records import CLASS_NAMES, ObjectEstimate
 from composenet.volume.memory import FreeSpace
@@ -315,3 +320,24 @@ def test_scattering_against_a_slow_loop() -> None:
                 expected[(index, slice(None), *cell)] = features[here].mean(dim=0)
     assert 0 < (expected != 0).float().mean() < 0.5  # some cells hold voxels, some none
     torch.testing.assert_close(scatter_features(features, relative, inside, 4), expected)
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 4.0])
+def test_a_heading_between_two_bins_is_found(sharpness: float) -> None:
+    """Logits that fall off with the angle: the heading is nearer than the bin, whatever it is."""
+    true = torch.linspace(-3, 3, 61)
+    bins = torch.arange(HEADING_BINS) * (2 * np.pi / HEADING_BINS)
+    found = likeliest_heading(sharpness * torch.cos(bins - true[:, None]))
+    gap = torch.remainder(found - true + np.pi, 2 * np.pi) - np.pi
+    assert gap.abs().max() < np.radians(1)
+
+
+def test_a_heading_stays_in_its_bin() -> None:
+    bin_width = 2 * np.pi / HEADING_BINS
+    logits = torch.randn(50, HEADING_BINS, generator=torch.Generator().manual_seed(0))
+    off = likeliest_heading(logits) - logits.argmax(dim=1) * bin_width
+    assert off.abs().max() <= bin_width / 2 + 1e-6
+    assert likeliest_heading(torch.eye(HEADING_BINS)).tolist() == pytest.approx(
+        [k * bin_width for k in range(HEADING_BINS)]
+    )
+    assert torch.isfinite(likeliest_heading(torch.zeros(1, HEADING_BINS))).all()

@@ -145,3 +145,58 @@ def test_zero_weights_drop_outliers():
     weights = torch.ones(1, 20, dtype=torch.float64)
     weights[0, :5] = 0
     np.testing.assert_allclose(fit_similarity(source, target, weights).R[0], R, atol=1e-9)
+
+
+def turn(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
+
+
+@given(st.integers(0, 10_000), st.floats(-3.1, 3.1), st.floats(0.05, 20))
+@settings(max_examples=40)
+def test_upright_a_known_turn_is_recovered(seed, angle, scale):
+    g = torch.Generator().manual_seed(seed)
+    source, t = torch.randn(1, 9, 3, dtype=torch.float64, generator=g), torch.ones(3)
+    fit = fit_similarity(source, scale * source @ turn(angle).T + t, upright=True)
+    assert fit.observable[0]
+    np.testing.assert_allclose(fit.R[0], turn(angle), atol=1e-9)
+    np.testing.assert_allclose(fit.t[0], t, atol=1e-8 * max(scale, 1))
+    assert fit.scale[0].item() == pytest.approx(scale, rel=1e-9)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25)
+def test_upright_no_other_turn_fits_better(seed):
+    """Also where the target is tilted and noisy; and the free fit fits at least as well."""
+    g = torch.Generator().manual_seed(seed)
+    source = torch.randn(1, 12, 3, dtype=torch.float64, generator=g)
+    target = source @ random_rotation(g).T + 0.3 * torch.randn_like(source)
+    weights = torch.rand(1, 12, dtype=torch.float64, generator=g)
+
+    def left_over(R, scale, t):
+        gaps = scale * source[0] @ R.T + t - target[0]
+        return float((weights[0] * gaps.square().sum(dim=1)).sum())
+
+    fit = fit_similarity(source, target, weights, upright=True)
+    free = fit_similarity(source, target, weights)
+    own = left_over(fit.R[0], fit.scale[0], fit.t[0])
+    share = weights[0] / weights[0].sum()
+    mean_s, mean_t = share @ source[0], share @ target[0]
+    spread = float(share @ (source[0] - mean_s).square().sum(dim=1))
+    for angle in np.linspace(-np.pi, np.pi, 73):
+        turned = (source[0] - mean_s) @ turn(angle).T
+        scale = float(share @ (turned * (target[0] - mean_t)).sum(dim=1)) / spread
+        t = mean_t - scale * turn(angle) @ mean_s
+        assert own <= left_over(turn(angle), scale, t) + 1e-9 or scale < 0
+    if free.observable[0]:
+        assert left_over(free.R[0], free.scale[0], free.t[0]) <= own + 1e-9
+
+
+def test_upright_a_vertical_line_fixes_no_turn_and_a_wall_does():
+    heights = torch.linspace(0, 1, 6, dtype=torch.float64)
+    line = torch.stack([0 * heights, 0 * heights, heights], dim=1)[None]
+    wall = torch.stack([heights, 0 * heights, heights.flip(0) ** 2], dim=1)[None]
+    assert not fit_similarity(line, line, upright=True).observable[0]
+    assert fit_similarity(wall, wall @ turn(0.7).T, upright=True).observable[0]
+    nowhere = fit_similarity(wall, wall, torch.zeros(1, 6), upright=True)
+    assert not nowhere.observable[0] and torch.isfinite(nowhere.t).all()

@@ -87,7 +87,7 @@ def _complete(
     coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
     points = crops.points(config.network.crop_cells // 2)
     correspondences = objects.nocs.flatten(2).transpose(1, 2)
-    fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5))
+    fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5), upright=True)
     fit = _with_boxes(fit, proposals, volume)
     posed = fit.t + _offset(fit, shown, crops) if config.tracking.use_completion else fit.t
     # linear interpolation would wear away a surface that is one cell thick

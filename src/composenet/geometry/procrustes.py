@@ -54,14 +54,19 @@ class _NearestRotation(torch.autograd.Function):
 
 
 def fit_similarity(
-    source: Tensor, target: Tensor, weights: Tensor | None = None, relative_tolerance: float = 1e-4
+    source: Tensor,
+    target: Tensor,
+    weights: Tensor | None = None,
+    relative_tolerance: float = 1e-4,
+    upright: bool = False,
 ) -> SimilarityFit:
-    """Weighted least-squares similarity from source to target points.
+    """Weighted least-squares similarity from source to target points; upright: the best of those
+    that turn about z alone (D = 3).
 
     source, target: (B, N, D), D = 2 or 3. weights: (B, N) >= 0, default ones. Observable when
     at least D points have weight, the source has spread, and the second-smallest signed
     singular sum is above relative_tolerance of the largest singular value: planar sets are
-    fine, collinear ones are not.
+    fine, collinear ones are not; upright, when what lies on a vertical line is not all there is.
     """
     if weights is None:
         weights = torch.ones_like(source[..., 0])
@@ -73,10 +78,12 @@ def fit_similarity(
     centered_t = target - mean_t[:, None]
     H = (share[..., None] * centered_t).transpose(1, 2) @ centered_s
     variance = (share * centered_s.square().sum(dim=-1)).sum(dim=1)
-    observable = _observable(H.detach(), variance.detach(), weights, relative_tolerance)
+    fixed = _turn_is_fixed if upright else _rotation_is_fixed
+    observable = _observable(H.detach(), variance.detach(), weights)
+    observable &= fixed(H.detach(), relative_tolerance)
     eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H)
     H = torch.where(observable[:, None, None], H, eye)
-    R = _NearestRotation.apply(H, observable)
+    R = _turn_about_z(H) if upright else _NearestRotation.apply(H, observable)
     # tr(D S) = max over R of tr(R^T H): its gradient in H is R, so R is held fixed here.
     gain = (R.detach() * H).sum(dim=(1, 2)) / torch.where(
         observable, variance, torch.ones_like(variance)
@@ -87,13 +94,33 @@ def fit_similarity(
     return SimilarityFit(scale, R, t, observable)
 
 
-def _observable(H: Tensor, variance: Tensor, weights: Tensor, tolerance: float) -> Tensor:
+def _observable(H: Tensor, variance: Tensor, weights: Tensor) -> Tensor:
     finite = torch.isfinite(H).all(dim=(1, 2))
-    H = torch.where(finite[:, None, None], H, torch.zeros_like(H))
-    U, d, Vh = torch.linalg.svd(H)
+    enough = (weights > 0).sum(dim=1) >= H.shape[-1]
+    return finite & enough & (variance > 1e-10) & (torch.nan_to_num(H).abs().amax((1, 2)) > 1e-12)
+
+
+def _rotation_is_fixed(H: Tensor, tolerance: float) -> Tensor:
+    U, d, Vh = torch.linalg.svd(torch.nan_to_num(H))
     signed = d.clone()
     signed[:, -1] = torch.where(torch.det(U @ Vh) < 0, -d[:, -1], d[:, -1])
     smallest_sum = signed[:, -1] + signed[:, -2]  # zero: the rotation is not unique
-    enough = (weights > 0).sum(dim=1) >= H.shape[-1]
-    spread = (variance > 1e-10) & (d[:, 0] > 1e-12)
-    return finite & enough & spread & (smallest_sum > tolerance * d[:, 0])
+    return smallest_sum > tolerance * d[:, 0]
+
+
+def _turn_is_fixed(H: Tensor, tolerance: float) -> Tensor:
+    along, across = _horizontal(torch.nan_to_num(H))
+    return torch.hypot(along, across) > tolerance * torch.nan_to_num(H).norm(dim=(1, 2))
+
+
+def _horizontal(H: Tensor) -> tuple[Tensor, Tensor]:
+    """trace(R^T H) of a turn R by an angle a about z is cos(a) along + sin(a) across + H_zz."""
+    return H[:, 0, 0] + H[:, 1, 1], H[:, 1, 0] - H[:, 0, 1]
+
+
+def _turn_about_z(H: Tensor) -> Tensor:
+    """argmax over the turns R about z of trace(R^T H)."""
+    along, across = _horizontal(H)
+    angle = torch.atan2(across, along)
+    c, s, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    return torch.stack([c, -s, zero, s, c, zero, zero, zero, one], dim=1).view(-1, 3, 3)

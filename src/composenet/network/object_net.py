@@ -69,8 +69,13 @@ def _position_channels(batch: VolumeBatch, crops: CropBatch, cells: int) -> Tens
 
 
 def likeliest_heading(logits: Tensor) -> Tensor:
-    """(M,) radians: the centre of the strongest bin."""
-    return logits.argmax(dim=1).to(logits.dtype) * (2 * math.pi / HEADING_BINS)
+    """(M,) radians: within the strongest bin the top of the parabola through it and the bins
+    beside it."""
+    top = logits.argmax(dim=1, keepdim=True)
+    before, at, after = (logits.gather(1, (top + k) % HEADING_BINS)[:, 0] for k in (-1, 0, 1))
+    bend = (2 * at - before - after).clamp_min(1e-6)
+    share = ((after - before) / (2 * bend)).clamp(-0.5, 0.5)
+    return (top[:, 0] + share) * (2 * math.pi / HEADING_BINS)
 
 
 def _conv(c_in: int, c_out: int) -> nn.Sequential:
