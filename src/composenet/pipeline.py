@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+import warnings
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
 from composenet.records import FloatArray, Frame, ObjectEstimate, Track, TrackedObject
+from composenet.sequences.checks import HeightCheck
 from composenet.tracking.tracker import Tracker
 from composenet.volume.memory import Memory
 from composenet.volume.voxels import Volume, voxelize
@@ -68,10 +70,12 @@ class ObjectTracker:
         self.network, self.config, self.device = network, config, device
         self._memory = Memory(config.volume.memory_frames)
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
+        self._heights = HeightCheck()
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
-        for a frame that does not come after the one before."""
+        for a frame that does not come after the one before. Warns, once, where the frames' world
+        seems not to have its floor at z = 0."""
         return self.follow(self.look(frame))
 
     @torch.inference_mode()
@@ -79,6 +83,8 @@ class ObjectTracker:
         """The first half: volume, voxel fields, proposals. Raises SequenceError as `follow` does,
         before the frame leaves anything behind."""
         self._tracker.expect(frame.index)
+        if doubt := self._heights(frame):
+            warnings.warn(doubt, stacklevel=3)
         clock = _Clock(self.device)
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)

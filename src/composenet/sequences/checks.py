@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from composenet.errors import SequenceError
-from composenet.geometry.camera import back_project, project
+from composenet.geometry.camera import back_project, project, subsample_camera, subsample_offset
 from composenet.geometry.transform import apply_T, make_T
-from composenet.records import Camera, FloatArray
+from composenet.records import Camera, FloatArray, Frame
 from composenet.sequences.source import Source, SourceFrame
 
 _POSSIBLE_MEDIAN_M = (0.1, 30.0)
@@ -21,6 +21,9 @@ MAX_SPAN_M = 1000.0
 _USUAL_MISFIT_M = 0.03
 _NEAR_M = 0.1
 _SHARED = 0.3  # of the points of one frame, those that another must see, too
+_ROOM_M = (-0.3, 3.2)  # where the things of a room are, above its floor
+_OUTSIDE = 0.4  # of a frame's points; so many are no noise and no high hall
+_DOUBTFUL_FRAMES = 5
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -178,9 +181,40 @@ def floor_notes(camera_centers: FloatArray) -> list[str]:
         return []
     return [
         f"the camera is {_metres(height_m)} above the lowest plane seen: the floor may not have "
-        "been in view, or the scale of poses and depth differ"
+        "been in view, the images may not be upright (gravity-direction.txt helps), or the scale of "
+        "poses and depth differ"
     ]
 
 
 def _metres(value: float) -> str:
     return f"{value:,.0f} m" if abs(value) >= 100 else f"{value:.2g} m"
+
+
+class HeightCheck:
+    """Whether frames have the world that the tracker expects: z up, its floor at z = 0. Where most
+    of them do not, nothing is found in them."""
+
+    def __init__(self) -> None:
+        self._frames = self._doubtful = 0
+        self._said = False
+
+    def __call__(self, frame: Frame) -> str | None:
+        """What to tell the user after this frame; once at most."""
+        camera, first = subsample_camera(frame.camera, 8), subsample_offset(8)
+        points = back_project(frame.depth_m[first::8, first::8], camera).reshape(-1, 3)
+        heights = apply_T(frame.T_world_camera, points[points[:, 2] > 0])[:, 2]
+        if not len(heights):
+            return None
+        below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
+        self._frames += 1
+        self._doubtful += max(below, above) > _OUTSIDE
+        enough = self._doubtful >= _DOUBTFUL_FRAMES and 2 * self._doubtful > self._frames
+        if self._said or not enough:
+            return None
+        self._said = True
+        where = "lies below the floor" if below > above else "lies above 3 m"
+        return (
+            f"in {self._doubtful} of {self._frames} frames much of what is seen {where}, where "
+            "nothing is looked for: T_world_camera must have z up and z = 0 at the floor (a world "
+            "that begins at the camera wants the camera's height added)"
+        )
