@@ -181,8 +181,8 @@ def floor_notes(camera_centers: FloatArray) -> list[str]:
         return []
     return [
         f"the camera is {_metres(height_m)} above the lowest plane seen: the floor may not have "
-        "been in view, the images may not be upright (gravity-direction.txt helps), or the scale of "
-        "poses and depth differ"
+        "been in view, the images may not be upright (gravity-direction.txt helps), or the scale "
+        "of poses and depth differ"
     ]
 
 
