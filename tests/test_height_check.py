@@ -6,10 +6,11 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from composenet.pipeline import load_tracker
-from composenet.records import Frame
+from composenet.records import Camera, Frame
 from composenet.sequences import open_sequence
 from composenet.sequences.checks import HeightCheck
 
@@ -45,6 +46,13 @@ def test_some_odd_frames_are_no_reason(frames: list[Frame]) -> None:
         assert check(frame) is None
         assert check(frame) is None
         assert check(raised(frame, -1.5)) is None
+
+
+@pytest.mark.parametrize(("width", "cx"), [(3, 1.0), (40, 1.0), (40, 39.0)])
+def test_odd_cameras_are_no_trouble(width: int, cx: float) -> None:
+    camera = Camera(np.array([[30.0, 0, cx], [0, 30, 1], [0, 0, 1]]), width, 3)
+    frame = Frame(0, np.ones((3, width), np.float32), camera, np.eye(4))
+    assert HeightCheck()(frame) is None
 
 
 def test_a_frame_without_depth_says_nothing(frames: list[Frame]) -> None:

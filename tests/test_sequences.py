@@ -698,6 +698,13 @@ def test_intrinsics_of_something_else_are_refused(given) -> None:
         Camera(given, WIDTH, HEIGHT)
 
 
+def test_intrinsics_of_the_full_image_do_not_fit_half_of_it() -> None:
+    full = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+    Camera(full, 640, 480)
+    with pytest.raises(SequenceError, match=r"K is .*halve them"):
+        Camera(full, 320, 240)
+
+
 def test_intrinsics_may_be_lists_and_are_the_cameras_own() -> None:
     given = K.copy()
     camera, listed = Camera(given, WIDTH, HEIGHT), Camera(K.tolist(), WIDTH, HEIGHT)

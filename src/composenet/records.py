@@ -102,7 +102,9 @@ def _possible(K: FloatArray, width: int, height: int) -> bool:
     if not np.isfinite(K).all() or not np.allclose(K[2], (0, 0, 1)):
         return False
     focal_fits = 0.1 * width < min(fx, fy) and max(fx, fy) < 20 * width
-    return bool(focal_fits and 0 < cx < width and 0 < cy < height)
+    border = 0.02  # at the very border lies the middle of an image twice the size
+    within = all(border < at < 1 - border for at in (cx / width, cy / height))
+    return bool(focal_fits and within)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from composenet.errors import SequenceError
-from composenet.geometry.camera import back_project, project, subsample_camera, subsample_offset
+from composenet.geometry.camera import back_project, project
 from composenet.geometry.transform import apply_T, make_T
 from composenet.records import Camera, FloatArray, Frame
 from composenet.sequences.source import Source, SourceFrame
@@ -24,6 +24,7 @@ _SHARED = 0.3  # of the points of one frame, those that another must see, too
 _ROOM_M = (-0.3, 3.2)  # where the things of a room are, above its floor
 _OUTSIDE = 0.4  # of a frame's points; so many are no noise and no high hall
 _DOUBTFUL_FRAMES = 5
+_SPARSE = 8  # of so many columns and rows one is looked at
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -200,9 +201,11 @@ class HeightCheck:
 
     def __call__(self, frame: Frame) -> str | None:
         """What to tell the user after this frame; once at most."""
-        camera, first = subsample_camera(frame.camera, 8), subsample_offset(8)
-        points = back_project(frame.depth_m[first::8, first::8], camera).reshape(-1, 3)
-        heights = apply_T(frame.T_world_camera, points[points[:, 2] > 0])[:, 2]
+        v, u = np.nonzero(frame.depth_m[::_SPARSE, ::_SPARSE])
+        u, v = _SPARSE * u, _SPARSE * v
+        K, z = frame.camera.K, frame.depth_m[v, u]
+        points = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1)
+        heights = apply_T(frame.T_world_camera, points)[:, 2]
         if not len(heights):
             return None
         below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
