@@ -48,7 +48,7 @@ def test_folders_with_brackets(
     """`x[/y]` closes a style that nobody opened, `[viz]` opens one that there is none of."""
     monkeypatch.setattr("composenet.output.open_replay", lambda *_: NoReplay(INSTALL_HINT))
     out = tmp_path / "x[" / "y]" / "[viz]"
-    options = ["--max-frames", "1", "--weights", tiny_weights, "--out", out]
+    options = ["--weights", tiny_weights, "--out", out]
     said = said_by(capsys, monkeypatch, "track", recordings / "val_00000", *options)
     assert f"open {out / 'report.html'}" in said
     assert f"warning {INSTALL_HINT}" in said and "'composenet[viz]'" in INSTALL_HINT
