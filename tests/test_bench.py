@@ -180,6 +180,17 @@ def test_a_process_that_dies_takes_no_other_sequence_along(tmp_path: Path) -> No
     assert sorted(p.name for p in cache.folder.iterdir()) == ["first.row.pkl", "last.row.pkl"]
 
 
+def test_a_kept_score_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    cache = ScoreCache(tmp_path / "kept", [], Path(os.devnull))
+    cache.save(tmp_path / "one", "row", dies_of_one(tmp_path / "first", ("row",))["row"])
+    assert cache.load(tmp_path / "one", "row") is not None
+    (path,) = cache.folder.iterdir()
+    for kept in (path.read_bytes()[:-5], path.read_bytes().partition(b"\n")[0] + b"\n"):
+        path.write_bytes(kept)
+        assert cache.load(tmp_path / "one", "row") is None
+
+
 def test_a_failing_sequence_is_named_and_the_others_are_scored(
     run, capsys, three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,8 +79,10 @@ def fit_similarity(
     H = (share[..., None] * centered_t).transpose(1, 2) @ centered_s
     variance = (share * centered_s.square().sum(dim=-1)).sum(dim=1)
     fixed = _turn_is_fixed if upright else _rotation_is_fixed
-    observable = _observable(H.detach(), variance.detach(), weights)
-    observable &= fixed(H.detach(), relative_tolerance)
+    finite = torch.isfinite(H.detach()).all(dim=(1, 2))
+    known = torch.where(finite[:, None, None], H.detach(), torch.zeros_like(H))
+    observable = finite & fixed(known, relative_tolerance)
+    observable &= _spread(known, variance.detach(), weights)
     eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand_as(H)
     H = torch.where(observable[:, None, None], H, eye)
     R = _turn_about_z(H) if upright else _NearestRotation.apply(H, observable)
@@ -94,14 +96,13 @@ def fit_similarity(
     return SimilarityFit(scale, R, t, observable)
 
 
-def _observable(H: Tensor, variance: Tensor, weights: Tensor) -> Tensor:
-    finite = torch.isfinite(H).all(dim=(1, 2))
+def _spread(H: Tensor, variance: Tensor, weights: Tensor) -> Tensor:
     enough = (weights > 0).sum(dim=1) >= H.shape[-1]
-    return finite & enough & (variance > 1e-10) & (torch.nan_to_num(H).abs().amax((1, 2)) > 1e-12)
+    return enough & (variance > 1e-10) & (H.abs().amax(dim=(1, 2)) > 1e-12)
 
 
 def _rotation_is_fixed(H: Tensor, tolerance: float) -> Tensor:
-    U, d, Vh = torch.linalg.svd(torch.nan_to_num(H))
+    U, d, Vh = torch.linalg.svd(H)
     signed = d.clone()
     signed[:, -1] = torch.where(torch.det(U @ Vh) < 0, -d[:, -1], d[:, -1])
     smallest_sum = signed[:, -1] + signed[:, -2]  # zero: the rotation is not unique
@@ -109,8 +110,7 @@ def _rotation_is_fixed(H: Tensor, tolerance: float) -> Tensor:
 
 
 def _turn_is_fixed(H: Tensor, tolerance: float) -> Tensor:
-    along, across = _horizontal(torch.nan_to_num(H))
-    return torch.hypot(along, across) > tolerance * torch.nan_to_num(H).norm(dim=(1, 2))
+    return torch.hypot(*_horizontal(H)) > tolerance * H.norm(dim=(1, 2))
 
 
 def _horizontal(H: Tensor) -> tuple[Tensor, Tensor]:

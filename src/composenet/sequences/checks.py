@@ -24,7 +24,6 @@ _SHARED = 0.3  # of the points of one frame, those that another must see, too
 _ROOM_M = (-0.3, 3.2)  # where the things of a room are, above its floor
 _OUTSIDE = 0.4  # of a frame's points; so many are no noise and no high hall
 _DOUBTFUL_FRAMES = 5
-_SPARSE = 8  # of so many columns and rows one is looked at
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -201,18 +200,15 @@ class HeightCheck:
 
     def __call__(self, frame: Frame) -> str | None:
         """What to tell the user after this frame; once at most."""
-        v, u = np.nonzero(frame.depth_m[::_SPARSE, ::_SPARSE])
-        u, v = _SPARSE * u, _SPARSE * v
-        K, z = frame.camera.K, frame.depth_m[v, u]
-        points = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1)
-        heights = apply_T(frame.T_world_camera, points)[:, 2]
-        if not len(heights):
+        points = back_project(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
+        heights = apply_T(frame.T_world_camera, points[points[:, 2] > 0])[:, 2]
+        if self._said or not len(heights):
             return None
         below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
         self._frames += 1
         self._doubtful += max(below, above) > _OUTSIDE
         enough = self._doubtful >= _DOUBTFUL_FRAMES and 2 * self._doubtful > self._frames
-        if self._said or not enough:
+        if not enough:
             return None
         self._said = True
         where = "lies below the floor" if below > above else "lies above 3 m"

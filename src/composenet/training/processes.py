@@ -79,10 +79,8 @@ class StopRequest:
 
 
 def leave_signals_to_parent(_worker: int) -> None:
-    """In a worker: ctrl-C reaches the whole process group, and so may a termination signal, but the
-    parent decides."""
+    """In a worker: ctrl-C reaches the whole process group, but the parent decides."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 def batches_of(stream: IterableDataset[Any], workers: int) -> DataLoader[Any]:
