@@ -3,7 +3,7 @@
 python benchmarks/train_mask_rcnn.py --out runs/mask_rcnn --max-minutes 60 [--resume]
 
 Stops at --max-minutes or ctrl-C with weights written; the rate falls to zero at the run's end.
-Every further run with --resume takes it up again. Needs `pip install composenet[baselines]`.
+Every further run with --resume takes it up again. Needs `pip install 'composenet[baselines]'`.
 """
 
 from __future__ import annotations

@@ -42,11 +42,35 @@ def test_readme(recording, tmp_path, monkeypatch):
 def test_live_camera():
     T_world_camera = make_T(LOOK_ALONG_X, [0, 0, 1.2])
     seen = {"driver": [(DEPTH_MM, T_world_camera)] * 2}
-    exec(code_of("docs/recordings.md")[0], seen)
+    exec(code_of("docs/recordings.md")[1], seen)
     assert seen["index"] == 1 and seen["result"].timings_ms["backbone"] > 0
     seen |= {"driver": [seen["depth_m"]] * 3, "tracker": seen["tracker"].restart()}
-    exec(code_of("docs/recordings.md")[1], seen)
+    exec(code_of("docs/recordings.md")[2], seen)
     assert seen["index"] == 2 and seen["T_world_camera"] is not None
+
+
+def test_reading_options(recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(code_of("docs/recordings.md")[0], {})
+    assert capsys.readouterr().out.startswith("2 [[")
+
+
+def test_results_written_read_and_taken_back(recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    back, read, write = code_of("docs/output.md")
+    exec(write, {})
+    seen = {}
+    exec(read, seen)
+    assert [frame.name for frame in seen["run"].frames] == ["0", "1"]
+    path = tmp_path / "result/tracks.json"
+    T_level_source = make_T(np.eye(3), [1, 2, 3])
+    path.write_text(
+        path.read_text().replace(
+            '"T_level_source": null', f'"T_level_source": {T_level_source.tolist()}'
+        )
+    )
+    exec(back, seen)
+    np.testing.assert_array_equal(seen["T_source_level"][:3, 3], [-1, -2, -3])
 
 
 def test_looking_twice(recording, tmp_path, monkeypatch):
@@ -55,7 +79,7 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
     for i in range(2):
         np.savetxt(f"recording/pose/{i}.txt", make_T(LOOK_ALONG_X, [0, 0, 1.2]))
     seen = {}
-    exec(code_of("docs/recordings.md")[2], seen)
+    exec(code_of("docs/recordings.md")[3], seen)
     assert seen["frame"].index == 0  # the last one that it looked at
     with pytest.raises(SequenceError, match="twice"):
         seen["tracker"].turn_back()

@@ -210,6 +210,7 @@ def test_track_follows_a_recording_without_poses(
     assert stop.value.code == 0
     run = read_predictions(out)
     assert any("odometry" in line for line in run.warnings)
+    assert run.T_level_source is None  # the recording has no world of its own
     true = [np.loadtxt(recordings / f"val_00000/pose/{frame.name}.txt") for frame in run.frames]
     for frame, T in zip(run.frames, true, strict=True):
         got = inverse_T(run.frames[0].T_world_camera) @ frame.T_world_camera

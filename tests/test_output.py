@@ -24,6 +24,7 @@ from fake_tracks import CAMERA, box_grid, make_frame, make_object
 
 FRAMES = 7
 TIMINGS_MS = {"volume": 10.0, "network": 200.0}
+LEVEL = np.array([[0, -1, 0, 0.5], [1, 0, 0, 0], [0, 0, 1, 1.25], [0, 0, 0, 1]])
 
 
 def entries(n: int) -> list[TrackedObject]:
@@ -55,7 +56,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run."""
     out = tmp_path_factory.mktemp("result") / "run"
     config = Config(volume=VolumeConfig(voxel_size_m=0.04))
-    with OutputWriter(out, "kit<chen", CAMERA, config, commit="abc", weights_id="w1") as writer:
+    notes = {"commit": "abc", "weights_id": "w1", "T_level_source": LEVEL}
+    with OutputWriter(out, "kit<chen", CAMERA, config, **notes) as writer:
         feed(writer)
         writer.warn("2 frames without a pose were skipped")
         writer.finish(tracks())
@@ -81,6 +83,7 @@ def test_round_trip(folder: Path) -> None:
     assert (run.sequence, run.commit, run.weights_id) == ("kit<chen", "abc", "w1")
     assert run.complete and "2 frames without a pose were skipped" in run.warnings
     np.testing.assert_array_equal(run.camera.K, CAMERA.K)
+    np.testing.assert_array_equal(run.T_level_source, LEVEL)
     assert (run.camera.width, run.camera.height) == (CAMERA.width, CAMERA.height)
     assert len(run.frames) == FRAMES
     for n, frame in enumerate(run.frames):
@@ -310,6 +313,7 @@ def edit(data: dict, path: str, value: object) -> None:
     [
         ("schema", "composenet.tracks/9", "tracks/9"),
         ("meta/camera", {"K": [[1]], "width": 4, "height": 3}, "meta"),
+        ("meta/T_level_source", [[1.0]], "meta"),
         ("frames/1/objects/0/class", "lamp", r"frames\[1\].*lamp"),
         ("frames/2/objects/0/state", "happy", r"frames\[2\].*happy"),
         ("frames/2/objects/1/box", {"center": [0, 0, 0]}, r"frames\[2\] lacks 'extents'"),

@@ -12,6 +12,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from rich.console import Console
@@ -217,6 +218,27 @@ def test_a_recording_looked_back_on_is_seen_twice(
     run = track_recording(sequence, tracker, tmp_path, Console(file=io.StringIO()))  # type: ignore[arg-type]
     assert seen == [*range(1, 2 * len(run.frames) + 1)] and run.complete
     assert [frame.index for frame in run.frames] == [frame.index for frame in sequence]
+
+
+def test_results_can_be_taken_back_to_the_recordings_own_world(
+    recordings: Path, tiny_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of SLAM systems z is seldom up."""
+    folder, out = tmp_path / "recording", tmp_path / "out"
+    shutil.copytree(recordings / "val_00000", folder)
+    (folder / "annotations.json").unlink()
+    T_source_true = np.array([[1, 0, 0, 2.0], [0, 0, -1, 0.5], [0, 1, 0, -0.7], [0, 0, 0, 1]])
+    own = {}
+    for path in sorted((folder / "pose").iterdir()):
+        own[path.stem] = T_source_true @ np.loadtxt(path)
+        np.savetxt(path, own[path.stem])
+    assert program(monkeypatch, folder, "--out", out, "--weights", tiny_weights) == 0
+    run = read_predictions(out)
+    assert run.T_level_source is not None and len(run.frames) == len(own)
+    for frame in run.frames:
+        back = np.linalg.inv(run.T_level_source) @ frame.T_world_camera
+        np.testing.assert_allclose(back, own[frame.name], atol=1e-6)
+        assert abs(frame.T_world_camera[2, 2]) < 0.9  # z is up again: no camera looks along it
 
 
 def test_association_is_told_of_all_surface_that_is_known(

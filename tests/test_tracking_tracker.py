@@ -46,7 +46,9 @@ def seen_at(outputs):
 
 def test_what_is_told_cannot_be_written_to():
     """Its arrays are the tracker's own."""
-    _, outputs = run([(None, [thing(3, 0)]), (AWAY, [])])
+    tracker, outputs = run([(None, [thing(3, 0)]), (AWAY, [])])
+    with pytest.raises(ValueError, match="read-only"):
+        tracker.tracks()[0].canonical[:] = 0
     for (entry,) in outputs:
         S = entry.S_world_canonical
         for array in (entry.box.center, entry.box.extents, S.R, S.t, entry.extents_m):

@@ -132,8 +132,8 @@ class TrackCommand:
     save_every: Count = 50
     """write what is done every N frames"""
     variant: Variant | None = None
-    """the paper's ablations: without completion, without correspondences, or both (default: full,
-    or as --config says)"""
+    """the paper's ablations: without completion, without correspondences, or both; not given: as
+    the configuration says, which is full in the shipped weights"""
     offline: tyro.conf.FlagCreatePairsOff[bool] = False
     """look at the recording once more, backwards, and link tracks over the whole of it: every frame
     is then seen with what later ones showed (twice the time)"""
@@ -173,7 +173,8 @@ class Eval:
     """comma-separated: full, no-compl, no-corr, no-corr-no-compl, and as `track --offline` runs
     them, whose frames see into the future: offline, offline-no-compl, and so on"""
     predictions: Path | None = None
-    """score these result folders of `track` instead of tracking"""
+    """score what `track` wrote instead of tracking: a folder PREDICTIONS/SEQUENCE for each
+    sequence of --data, or one result where there is one sequence"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
     device: str = "auto"
@@ -205,7 +206,8 @@ class Bench:
     maskfusion-gt-masks, maskfusion, midfusion-gt-masks, midfusion, no-corr-no-compl, no-corr,
     no-compl, full"""
     camera: CameraPoses = "given"
-    """camera poses: the recording's, or each method's own but for the first frame"""
+    """given: the recording's camera poses; estimated: each method finds its own (ours by odometry),
+    from the true pose of the first frame on"""
     weights: Path | None = None
     """weights of our network to use instead of the shipped ones"""
     device: str = "auto"

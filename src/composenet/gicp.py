@@ -13,6 +13,6 @@ def small_gicp() -> ModuleType:
         import small_gicp as library
     except ImportError:
         raise ConfigError(
-            "this needs small_gicp: install it with `pip install composenet[odometry]`"
+            "this needs small_gicp: install it with `pip install 'composenet[odometry]'`"
         ) from None
     return library

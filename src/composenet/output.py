@@ -25,7 +25,7 @@ from composenet.predictions import (
     PredictedSequence,
     read_predictions,
 )
-from composenet.records import Camera, Frame, Track, TrackedObject, TrackState
+from composenet.records import Camera, FloatArray, Frame, Track, TrackedObject, TrackState
 from composenet.result_folder import CONFIG, REPLAY, REPORT, TIMINGS, claim, clear, writing
 from composenet.timings import summarise_timings
 from composenet.tracks_file import FrameText, frame_text, tracks_json, tracks_text
@@ -48,7 +48,9 @@ class OutputWriter:
     meshes, reconstructions and the report. Files appear whole or not at all; those of an
     earlier run in the same folder are replaced with the first frame.
 
-    commit, weights_id: noted in tracks.json. replay: write replay.rrd where rerun is installed.
+    commit, weights_id: noted in tracks.json; so is T_level_source, (4, 4), which maps the
+    recording's own world to that of the frames, where there is one. replay: write replay.rrd where
+    rerun is installed.
     Raises DataError when the folder cannot be written, or holds files of these names that are no
     earlier result.
     """
@@ -62,13 +64,21 @@ class OutputWriter:
         *,
         commit: str = "",
         weights_id: str = "",
+        T_level_source: FloatArray | None = None,
         save_every: int = 50,
         replay: bool = True,
     ) -> None:
         self.out_dir = Path(out_dir)
         self.save_every = save_every
         self._run = PredictedSequence(
-            sequence_name, camera, (), {}, commit=commit, weights_id=weights_id, complete=False
+            sequence_name,
+            camera,
+            (),
+            {},
+            commit=commit,
+            weights_id=weights_id,
+            complete=False,
+            T_level_source=T_level_source,
         )
         self._frames: list[FrameRecord] = []
         self._texts: list[FrameText] = []

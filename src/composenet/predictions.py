@@ -51,7 +51,8 @@ class PredictedSequence:
     complete: False where the run was interrupted. canonical: of each track id (64, 64, 64)
     float32 in 0..1, the final reconstruction; empty when the run was killed before its end.
     class_ids: final class of each track, by vote. mesh_files: PLY of a track, where it has one,
-    relative to the result folder.
+    relative to the result folder. T_level_source: (4, 4), maps the recording's own world to that
+    of the result; None where the recording's poses were not used.
     """
 
     sequence: str
@@ -64,6 +65,7 @@ class PredictedSequence:
     commit: str = ""
     weights_id: str = ""
     warnings: tuple[str, ...] = ()
+    T_level_source: FloatArray | None = None
 
     @property
     def histories(self) -> dict[int, tuple[TrackedObject, ...]]:
@@ -130,6 +132,7 @@ def sequence_from_json(data: Mapping[str, Any], where: Path) -> PredictedSequenc
         commit=str(meta["commit"]),
         weights_id=str(meta["weights"]),
         warnings=tuple(meta["warnings"]),
+        T_level_source=meta["T_level_source"],
     )
 
 
@@ -137,6 +140,8 @@ def _header(data: Mapping[str, Any]) -> tuple[dict[str, Any], Camera, list[dict[
     meta, tracks = dict(data["meta"]), list(data["tracks"])
     for key in ("sequence", "complete", "commit", "weights", "warnings"):
         meta[key]
+    level = meta.get("T_level_source")
+    meta["T_level_source"] = None if level is None else _array(level, (4, 4))
     camera = meta["camera"]
     K = _array(camera["K"], (3, 3))
     return meta, Camera(K, int(camera["width"]), int(camera["height"])), tracks

@@ -48,6 +48,7 @@ def frame_text(frame: FrameRecord) -> FrameText:
 def tracks_json(run: PredictedSequence, frames: Sequence[FrameText]) -> str:
     """The whole of tracks.json, one line a frame. frames: those of the run, encoded."""
     K = np.asarray(run.camera.K, dtype=np.float64)
+    level = run.T_level_source
     head = {
         "schema": SCHEMA,
         "meta": {
@@ -56,6 +57,7 @@ def tracks_json(run: PredictedSequence, frames: Sequence[FrameText]) -> str:
             "commit": run.commit,
             "weights": run.weights_id,
             "camera": {"K": K.tolist(), "width": run.camera.width, "height": run.camera.height},
+            "T_level_source": None if level is None else np.asarray(level, np.float64).tolist(),
             "classes": list(CLASS_NAMES),
             "axes": AXES,
             "warnings": list(run.warnings),

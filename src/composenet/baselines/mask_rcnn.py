@@ -34,7 +34,7 @@ def mask_rcnn_weights() -> Path:
         raise WeightsError(
             f"{path}: no Mask R-CNN weights; make them: python benchmarks/train_mask_rcnn.py "
             f"--out runs/mask_rcnn --max-minutes 60, then copy runs/mask_rcnn/{NAME} there "
-            "(needs `pip install composenet[baselines]`)"
+            "(needs `pip install 'composenet[baselines]'`)"
         )
     from composenet.baselines.torchvision_ops import import_torchvision
 

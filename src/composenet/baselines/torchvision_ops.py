@@ -22,7 +22,7 @@ from torch.nn.functional import grid_sample
 from composenet.errors import WeightsError
 
 INSTALL = (
-    "install it with `pip install composenet[baselines]`, or, to keep your torch as it is, "
+    "install it with `pip install 'composenet[baselines]'`, or, to keep your torch as it is, "
     "`pip install --no-deps torchvision`"
 )
 _SCHEMAS = (

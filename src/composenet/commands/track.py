@@ -55,6 +55,7 @@ def track_recording(
         tracker.config,
         commit=source_commit(),
         weights_id=weights_id,
+        T_level_source=sequence.T_level_source if sequence.own_poses else None,
         save_every=save_every,
     )
     notes = [NO_WAY_BACK] if tracker.looks_twice and not sequence.has_poses else []

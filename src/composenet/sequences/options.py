@@ -36,7 +36,7 @@ class SequenceOptions:
     depth_scale: Positive | None = None
     """depth units a metre: 1000 for millimetres; default: the format's own"""
     max_depth_m: Positive = 10.0
-    """depth beyond this is no measurement"""
+    """depth beyond this is no measurement; the tracker's own limit is volume.max_depth_m (5.5)"""
     odometry: bool = False
     """camera poses from the depth images themselves, not from the recording (needs
     composenet[odometry])"""

@@ -39,9 +39,10 @@ class RecordedSequence:
     """Frames of a recording, read one at a time; made by `open_sequence`.
 
     name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
-    where every frame is in its camera's own levelled frame. T_level_source: (4, 4), maps the
-    recording's own world to the levelled one (identity without poses; with odometry that world is
-    levelled by the first frame alone). Iterate as often as wanted; frames come in order,
+    where every frame is in its camera's own levelled frame. own_poses: whether the poses are the
+    recording's, not those of odometry. T_level_source: (4, 4), maps the world of the poses to the
+    levelled one (identity without poses; odometry's world is levelled by the first frame alone).
+    Iterate as often as wanted; frames come in order,
     `Frame.index` counts the recording's frames, skipped ones included.
     """
 
@@ -55,7 +56,8 @@ class RecordedSequence:
     ) -> None:
         self.name = source.path.resolve().name
         source = source.without_poses() if options.odometry else source
-        self.has_poses = source.has_poses or options.odometry
+        self.own_poses = source.has_poses
+        self.has_poses = self.own_poses or options.odometry
         self._source, self._options = source, options
         self._soon = max(1, _SOON // stride)
         self._skipped: dict[int, tuple[str, str]] = {}

@@ -139,6 +139,7 @@ class Tracklet:
         if whole and rows:
             rows = list(range(rows[0], rows[-1] + 1))
         history = tuple(self._history[row][0] for row in rows)
+        self.model.mean.setflags(write=False)
         return Track(self.track_id, self.class_id, history, self.model.mean)
 
     def turn_back(self) -> None:
