@@ -21,9 +21,10 @@ from composenet import cli, pipeline
 from composenet.baselines import registry
 from composenet.baselines.records import Cameras, MaskSource
 from composenet.commands import bench, jobs
-from composenet.commands.score_cache import ScoreCache, sources_of
+from composenet.commands.score_cache import ScoreCache, kept_sequences, sources_of
 from composenet.commands.scoring import VARIANTS, ScoredSequence
 from composenet.errors import DataError, WeightsError
+from composenet.files import held
 from composenet.metrics.clear import ClearScores
 from composenet.metrics.evaluate import SequenceScores
 from composenet.metrics.hota import hota_scores
@@ -189,6 +190,23 @@ def test_a_kept_score_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     for kept in (path.read_bytes()[:-5], path.read_bytes().partition(b"\n")[0] + b"\n"):
         path.write_bytes(kept)
         assert cache.load(tmp_path / "one", "row") is None
+
+
+def test_scores_are_kept_whatever_a_sequence_is_called(tmp_path: Path) -> None:
+    cache = ScoreCache(tmp_path / "kept", [], Path(os.devnull))
+    folder = tmp_path / "room v1.2 K\udcfcche"
+    folder.mkdir()
+    (folder / "annotations.json").write_text("{}")
+    outcomes = jobs.run_jobs(["row"], [folder], dies_of_one, cache, 1, Console(quiet=True))
+    assert list(outcomes) == [("row", folder)] and cache.load(folder, "row") is not None
+    ((name, variant, _),) = kept_sequences(cache.folder)
+    assert (name, variant) == (folder.name, "row")
+
+
+def test_a_second_run_does_not_keep_scores_in_the_same_folder(tmp_path: Path) -> None:
+    cache = ScoreCache(tmp_path / "kept", [], Path(os.devnull))
+    with held(cache.folder), pytest.raises(DataError, match="another run is writing"):
+        jobs.run_jobs(["row"], [tmp_path], dies_of_one, cache, 1, Console(quiet=True))
 
 
 def test_a_failing_sequence_is_named_and_the_others_are_scored(

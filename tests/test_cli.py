@@ -437,12 +437,12 @@ def test_ctrl_c_keeps_the_frames_that_are_done(
     code = (
         "import os, signal, sys\n"
         "from composenet import cli, pipeline\n"
-        "track, seen = pipeline.ObjectTracker.__call__, []\n"
+        "track, seen = pipeline.ObjectTracker.look, []\n"
         "def call(self, frame):\n"
         "    seen.append(frame)\n"
         "    if len(seen) == 3: os.killpg(0, signal.SIGINT)\n"
         "    return track(self, frame)\n"
-        "pipeline.ObjectTracker.__call__ = call\n"
+        "pipeline.ObjectTracker.look = call\n"
         "cli.main()"
     )
     arguments = ["track", recordings / "val_00000", "--out", tmp_path, "--weights", tiny_weights]

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from composenet.config import VolumeConfig
+from composenet.config import VolumeConfig, from_dict
+from composenet.errors import ConfigError
 from composenet.geometry.transform import apply_T, inverse_T, rotation_z
 from composenet.network.batch import CropBatch, collate
 from composenet.network.crop_inputs import crop_inputs
-from composenet.records import Box, Frame
+from composenet.records import LARGEST_INDEX, Box, Frame
 from composenet.volume.memory import FREE_CELL_M, FreeSpace, Memory
 from composenet.volume.voxels import voxelize
 from tracking_scenes import frame
@@ -79,6 +80,11 @@ def test_it_is_kept_while_the_camera_looks_elsewhere_and_forgotten_with_time() -
     assert is_free(space_after(frame(0), away), [AT_THE_BOX, BESIDE_IT]).all()
     assert is_free(space_after(frame(0), away, frames=20), AT_THE_BOX).all()
     assert not is_free(space_after(frame(0), away, frames=19), AT_THE_BOX).any()
+    longest = from_dict({"memory_frames": 2**30 - 1}, VolumeConfig).memory_frames
+    late = [replace(view, index=LARGEST_INDEX - 1 + i) for i, view in enumerate([frame(0), away])]
+    assert is_free(space_after(*late, frames=longest), AT_THE_BOX).all()
+    with pytest.raises(ConfigError, match="memory_frames"):
+        from_dict({"memory_frames": 2**30}, VolumeConfig)
     assert not is_free(space_after(away), AT_THE_BOX).any()
 
 

@@ -36,7 +36,7 @@ def test_a_floor_elsewhere_is_told_of_once(frames: list[Frame], by_m: float, whe
     check = HeightCheck()
     said = [check(raised(frame, by_m)) for frame in 2 * frames]
     (line,) = [text for text in said if text]
-    assert where in line and "z = 0 at the floor" in line
+    assert where in line and "floor at z = 0" in line
     assert said.index(line) >= 4  # not after a single frame
 
 
@@ -62,7 +62,7 @@ def test_a_frame_without_depth_says_nothing(frames: list[Frame]) -> None:
 
 def test_the_tracker_warns(frames: list[Frame], tiny_weights: Path) -> None:
     tracker = load_tracker(tiny_weights, device="cpu")
-    with pytest.warns(UserWarning, match="z = 0 at the floor") as caught:
+    with pytest.warns(UserWarning, match="floor at z = 0") as caught:
         for frame in frames:
             tracker(raised(frame, -1.5))
     assert len(caught) == 1

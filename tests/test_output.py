@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +232,18 @@ def test_saves_periodically(tmp_path: Path) -> None:
     writer = OutputWriter(tmp_path, "s", CAMERA, Config(), save_every=3, replay=False)
     feed(writer, 5)  # the process dies here
     assert len(read_predictions(tmp_path).frames) == 3
+
+
+def test_long_recordings_are_saved_less_often(tmp_path: Path, monkeypatch) -> None:
+    """Files are written whole: every so many frames would take ever longer."""
+    saved = []
+    monkeypatch.setattr(OutputWriter, "_save", lambda self, run: saved.append(len(run.frames)))
+    writer = OutputWriter(tmp_path, "s", CAMERA, Config(), save_every=2, replay=False)
+    for n in range(200):
+        writer.add_frame(make_frame(n), [], TIMINGS_MS)
+    assert saved[:4] == [0, 2, 4, 6]
+    late = [frames for frames in saved if frames > 100]
+    assert all(5 <= b - a <= 10 for a, b in pairwise(late)) and late[-1] > 190
 
 
 def test_offline_histories_replace_the_online_ones(tmp_path: Path) -> None:

@@ -198,5 +198,8 @@ def test_upright_a_vertical_line_fixes_no_turn_and_a_wall_does():
     wall = torch.stack([heights, 0 * heights, heights.flip(0) ** 2], dim=1)[None]
     assert not fit_similarity(line, line, upright=True).observable[0]
     assert fit_similarity(wall, wall @ turn(0.7).T, upright=True).observable[0]
+    upside_down = wall * torch.tensor([0.2, 1.0, -1.0])
+    fit = fit_similarity(wall, upside_down, upright=True)
+    assert not fit.observable[0] and fit.scale[0] > 0
     nowhere = fit_similarity(wall, wall, torch.zeros(1, 6), upright=True)
     assert not nowhere.observable[0] and torch.isfinite(nowhere.t).all()

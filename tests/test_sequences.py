@@ -287,6 +287,7 @@ def test_frames_named_by_times_follow_each_other(tmp_path):
     for i, name in enumerate(names):
         for path in root.glob(f"*/frame-{i}.*"):
             path.rename(path.with_name(name + path.suffix))
+            (path.parent / f"._{name}{path.suffix}").write_bytes(b"kept by some file systems")
     assert [f.name for f in open_sequence(root)] == ["9.75", "10.25", "10.5", "11.0"]
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import signal
+import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -22,7 +25,7 @@ from composenet import config as configuration
 from composenet.commands import track
 from composenet.commands.track import track_recording
 from composenet.errors import DataError, DeviceError
-from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
+from composenet.pipeline import ObjectTracker, Sight, load_tracker
 from composenet.predictions import read_predictions
 from composenet.records import Frame
 from composenet.sequences import open_sequence
@@ -37,10 +40,10 @@ class Watched:
         self._tracker = load_tracker(weights, device="cpu", **tracking)
         self._before, self._count = before, 0
 
-    def __call__(self, frame: Frame) -> FrameResult:
+    def look(self, frame: Frame) -> Sight:
         self._count += 1
         self._before(self._count)
-        return self._tracker(frame)
+        return self._tracker.look(frame)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._tracker, name)
@@ -99,15 +102,15 @@ def test_a_device_that_gives_up_leaves_what_is_done(
     capsys, monkeypatch, recordings: Path, tiny_weights: Path, tmp_path: Path,
     error: Exception, reason: str,
 ) -> None:  # fmt: skip
-    track, seen = ObjectTracker.__call__, []
+    look, seen = ObjectTracker.look, []
 
-    def call(self: ObjectTracker, frame: Frame) -> FrameResult:
+    def failing(self: ObjectTracker, frame: Frame) -> Sight:
         seen.append(frame)
         if len(seen) == 3:
             raise error
-        return track(self, frame)
+        return look(self, frame)
 
-    monkeypatch.setattr(ObjectTracker, "__call__", call)
+    monkeypatch.setattr(ObjectTracker, "look", failing)
     options = ["--out", tmp_path, "--weights", tiny_weights]
     assert program(monkeypatch, recordings / "val_00000", *options) == 2
     said = capsys.readouterr()
@@ -177,6 +180,39 @@ def test_a_configuration_can_be_passed_back_in(
     assert program(monkeypatch, *options, *whole) == 0  # what is typed comes first
     tracking = configuration.load(str(tmp_path / "whole" / "config.json")).tracking
     assert tracking.use_completion and tracking.use_correspondences
+    changed.write_text(text.replace('"voxel_size_m": 0.15', '"voxel_size_m": 0.1'))
+    assert program(monkeypatch, *options, "--config", changed, "--out", again) == 2
+
+
+def test_a_floor_elsewhere_is_told_of_in_the_result(
+    recordings: Path, tiny_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once, as any other doubt, and not by a line of Python's. A generated world is taken as it
+    is."""
+    folder, out = tmp_path / "recording", tmp_path / "out"
+    shutil.copytree(recordings / "val_00000", folder)
+    for path in (folder / "pose").iterdir():
+        T = np.loadtxt(path)
+        T[2, 3] -= 1.5
+        np.savetxt(path, T)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert program(monkeypatch, folder, "--out", out, "--weights", tiny_weights) == 0
+    told = [line for line in read_predictions(out).warnings if "below the floor" in line]
+    assert len(told) == 1
+
+
+def test_a_recordings_name_may_be_in_no_known_encoding(
+    recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "K\udcfcche"
+    shutil.copytree(recordings / "val_00000", folder)
+    command = [sys.executable, "-m", "composenet", "track", folder, "--out", tmp_path / "out"]
+    options = ["--weights", tiny_weights, "--max-frames", "1"]
+    strict = {**os.environ, "PYTHONIOENCODING": "utf-8:strict"}
+    done = subprocess.run([*command, *options], env=strict, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    assert read_predictions(tmp_path / "out").complete
 
 
 def test_looking_back_without_poses_is_told_of(

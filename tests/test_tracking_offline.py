@@ -78,6 +78,11 @@ def letters(linked: Track) -> str:
             id="the first had ended, the second ends",
         ),
         pytest.param(
+            [track(1, "TT"), track(2, "....TT")],
+            {1: "TTOORT"},
+            id="nobody looked between the two",
+        ),
+        pytest.param(
             [track(1, "TTLRT"), track(2, "..TLLL")],
             {1: "TTTTT"},
             id="a single proposal fills a gap",
@@ -122,6 +127,12 @@ def test_linking_table(tracks: Sequence[Track], expected: dict[int, str]):
         assert {entry.track_id for entry in one.history} == {one.track_id}
         frames = [entry.frame_index for entry in one.history]
         assert frames == list(range(frames[0], frames[-1] + 1))
+
+
+def test_confidence_falls_where_nobody_looked():
+    (linked,) = link_offline([track(1, "TT"), track(2, "....TT")], FRAMES, CONFIG)
+    gap = [0.5 * CONFIG.occluded_decay, 0.5 * CONFIG.occluded_decay**2]
+    assert [e.confidence for e in linked.history] == pytest.approx([0.5, 0.5, *gap, 0.5, 0.5])
 
 
 def test_poses_and_model_of_a_merged_track():

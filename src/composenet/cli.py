@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -257,6 +258,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a path may be in no known encoding
+        sys.stdout.reconfigure(errors="replace")
     wait_asleep()
     keep_freed_memory()
     sys.exit(_guarded(lambda: parse_command(COMMANDS)))

@@ -30,12 +30,12 @@ class VolumeConfig:
     voxel_size_m: Positive = 0.05
     """edge of a surface voxel, metres"""
     max_depth_m: Positive = 5.5
-    """depth beyond this is dropped"""
+    """depth beyond this is dropped, and what was remembered there while it is in view"""
     min_pixels: Count = 2
     """a voxel hit by fewer depth pixels is noise"""
     truncation_m: Positive = 0.15
     """truncation of the signed distance field"""
-    memory_frames: Annotated[int, Field(ge=0)] = 900
+    memory_frames: Annotated[int, Field(ge=0, le=2**30 - 1)] = 900
     """surfaces that none of the last so many frames saw are forgotten; 0: each frame alone
     [paper]"""
     memory_reach_m: Positive = 3.0
@@ -128,9 +128,9 @@ class TrackingConfig:
     lost_decay: Share = 0.9
     """factor on the confidence for each frame that a track is lost"""
     end_after_frames: Count = 900
-    """a track unseen for this many frames has ended"""
+    """a track unseen for this many tracked frames has ended"""
     end_after_visible_misses: Count = 30
-    """a track unseen for this many frames in which it should have been visible has ended"""
+    """a track unseen for this many tracked frames in which it should have been visible has ended"""
     offline: bool = False
     """look back from the end of the recording: where camera poses are known and surfaces are
     remembered at every frame once more, with what all others saw, and over all tracks in the

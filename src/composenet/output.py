@@ -38,14 +38,17 @@ __all__ = ["OutputWriter", "read_predictions"]
 
 TIMINGS_SCHEMA = "composenet.timings/1"
 MAX_PICTURES = 12
+SAVE_SHARE = 0.05
+"""Files are written whole, so they are renewed only once so much has come."""
 
 
 class OutputWriter:
     """Writes one result folder while frames come in.
 
-    Every `save_every` frames, and when left by an exception or ctrl-C, tracks.json, tracks.txt
-    and timings.json are written with what is done (meta.complete is false); `finish` adds
-    meshes, reconstructions and the report. Files appear whole or not at all; those of an
+    Every `save_every` frames (in long recordings whenever a twentieth has come on top, so that
+    writing takes a fixed share of the time), and when left by an exception or ctrl-C, tracks.json,
+    tracks.txt and timings.json are written with what is done (meta.complete is false); `finish`
+    adds meshes, reconstructions and the report. Files appear whole or not at all; those of an
     earlier run in the same folder are replaced with the first frame.
 
     commit, weights_id: noted in tracks.json; so is T_level_source, (4, 4), which maps the
@@ -89,6 +92,7 @@ class OutputWriter:
         self._keepsakes = _Keepsakes()
         self._config, self._wants_replay = config, replay
         self._replay: Replay = NoReplay()
+        self._next_save = save_every
         self._begun = self._finished = False
         claim(self.out_dir)
 
@@ -138,13 +142,15 @@ class OutputWriter:
         self._class_ids.update({entry.track_id: entry.class_id for entry in tracked})
         self._keepsakes.offer(len(self._frames) - 1, frame)
         self._replay.add_frame(frame, tracked)
-        if len(self._frames) % self.save_every == 0:
+        if len(self._frames) >= self._next_save:
             self.save()
 
     def save(self) -> None:
         """Write tracks.json, tracks.txt and timings.json with what is done so far."""
         self._begin()
         self._save(self._snapshot())
+        done = len(self._frames)
+        self._next_save = done + max(self.save_every, int(SAVE_SHARE * done))
 
     def finish(self, tracks: Sequence[Track], *, complete: bool = True) -> PredictedSequence:
         """Write everything. complete: False after an interruption. Raises DataError.
@@ -200,8 +206,9 @@ class OutputWriter:
         return (*self._recording_warnings, *self._warnings)
 
     def _save(self, run: PredictedSequence) -> None:
-        write_atomic(self.out_dir / TRACKS_TXT, tracks_text(self._texts).encode())
+        # tracks.json first: by it a folder is known for a result
         write_atomic(self.out_dir / TRACKS_JSON, tracks_json(run, self._texts).encode())
+        write_atomic(self.out_dir / TRACKS_TXT, tracks_text(self._texts).encode())
         stages = summarise_timings(self._timings)
         table = {s.stage: {"median_ms": s.median_ms, "p95_ms": s.p95_ms, "n": s.n} for s in stages}
         text = json.dumps({"schema": TIMINGS_SCHEMA, "stages": table}, indent=2)

@@ -31,11 +31,13 @@ from composenet.volume.voxels import Volume, voxelize
 @dataclass(frozen=True)
 class FrameResult:
     """What one frame gave. objects: every living track that is sure enough to be told of;
-    estimates: the posed detections of the frame; timings_ms: by stage."""
+    estimates: the posed detections of the frame; timings_ms: by stage; doubt: what the user should
+    know of the recording, said once, with the frame that gives reason to it."""
 
     objects: tuple[TrackedObject, ...]
     estimates: tuple[ObjectEstimate, ...]
     timings_ms: dict[str, float]
+    doubt: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,14 @@ class Sight:
     config.tracking can share it. scene: None where the frame shows nothing. surface: (M, 3) points
     in the world, all surface that it and the frames before it saw and that it does not contradict.
     looked_at: posed detections and timings of the trackers that have followed, by what they asked
-    for."""
+    for. doubt: of FrameResult."""
 
     frame: Frame
     scene: Scene | None
     surface: FloatArray
     timings_ms: dict[str, float]
     looked_at: dict[Hashable, tuple[tuple[ObjectEstimate, ...], dict[str, float]]]
+    doubt: str | None = None
 
 
 class ObjectTracker:
@@ -76,27 +79,29 @@ class ObjectTracker:
         """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
         for a frame that does not come after the one before. Warns, once, where the frames' world
         seems not to have its floor at z = 0."""
-        return self.follow(self.look(frame))
+        result = self.follow(self.look(frame))
+        if result.doubt:
+            warnings.warn(result.doubt, stacklevel=2)
+        return result
 
     @torch.inference_mode()
     def look(self, frame: Frame) -> Sight:
         """The first half: volume, voxel fields, proposals. Raises SequenceError as `follow` does,
         before the frame leaves anything behind."""
         self._tracker.expect(frame.index)
-        if doubt := self._heights(frame):
-            warnings.warn(doubt, stacklevel=3)
+        doubt = self._heights(frame)
         clock = _Clock(self.device)
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)
         if volume is None:
-            return Sight(frame, None, self._memory.surface.points, clock.milliseconds, {})
+            return Sight(frame, None, self._memory.surface.points, clock.milliseconds, {}, doubt)
         batch = collate([volume]).to(self.device)
         with clock("backbone"):
             fields = self.network.voxel_fields(batch)
         with clock("proposals"):
             (proposals,) = propose(fields, batch, self.config.detection)
         scene = Scene(volume, batch, fields, proposals)
-        return Sight(frame, scene, self._memory.surface.points, clock.milliseconds, {})
+        return Sight(frame, scene, self._memory.surface.points, clock.milliseconds, {}, doubt)
 
     def follow(self, sight: Sight) -> FrameResult:
         """The second half: a closer look at every proposal and at where tracks were last, their
@@ -106,7 +111,7 @@ class ObjectTracker:
         with clock("association"):
             objects = self._tracker.update(sight.frame, estimates, sight.surface)
         timings_ms = sight.timings_ms | timings_ms | clock.milliseconds
-        return FrameResult(objects, estimates, timings_ms)
+        return FrameResult(objects, estimates, timings_ms, sight.doubt)
 
     @torch.inference_mode()
     def _estimates(self, sight: Sight) -> tuple[tuple[ObjectEstimate, ...], dict[str, float]]:
@@ -172,7 +177,7 @@ def load_tracker(
     network, own, _ = load_weights(Path(weights) if weights else default_weights(), chosen)
     if config is not None and _learned_with(config) != _learned_with(own):
         raise ConfigError(
-            "config.network or volume.truncation_m does not fit the weights; "
+            "config.network, volume.voxel_size_m or volume.truncation_m does not fit the weights; "
             "leave them as the weights have them"
         )
     return ObjectTracker(network, config or own, chosen).restart(**tracking)
@@ -187,6 +192,7 @@ def _learned_with(config: Config) -> tuple[object, ...]:
         network.object_channels,
         network.crop_cells,
         network.crop_margin,
+        config.volume.voxel_size_m,
         config.volume.truncation_m,
     )
 

@@ -38,7 +38,7 @@ def write_page(
         markdown(info, outcomes, cameras),
         _failures(page, outcomes),
     ]
-    write_atomic(page, ("\n\n".join(parts) + "\n").encode())
+    write_atomic(page, ("\n\n".join(parts) + "\n").encode(errors="replace"))
 
 
 def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -> str:

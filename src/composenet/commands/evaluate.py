@@ -66,7 +66,8 @@ def run_eval(
     info = RunInfo(data.resolve().name, seed, command, made_with)
     if scores:
         write_results(out / "results.json", info, scores, lines)
-        write_atomic(out / "results.md", "\n".join([to_markdown(info, scores), *lines]).encode())
+        text = "\n".join([to_markdown(info, scores), *lines])
+        write_atomic(out / "results.md", text.encode(errors="replace"))
         for section in sections(scores):
             console.print(tall_table(section))
         paths = f"{out / 'results.json'} and {out / 'results.md'}"

@@ -15,6 +15,7 @@ from composenet.commands.progress import progress_bar
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import ScoredSequence
 from composenet.errors import ComposenetError
+from composenet.files import held
 from composenet.metrics.evaluate import DatasetScores, SequenceScores, aggregate
 from composenet.process import worker_pool
 
@@ -40,7 +41,8 @@ def run_jobs(
     """Every name's outcome on every folder, name after name, however many workers there are.
 
     Where a process dies, what others have under way dies with it: these folders are done again,
-    each in a process of its own, so that only the one at fault fails.
+    each in a process of its own, so that only the one at fault fails. Raises DataError where
+    another run is keeping scores in the same folder.
     """
     done: dict[Job, Outcome] = {}
     todo: dict[Path, tuple[str, ...]] = {}
@@ -49,7 +51,7 @@ def run_jobs(
         done |= {(name, folder): scores for name, scores in kept.items() if scores is not None}
         if missing := tuple(name for name, scores in kept.items() if scores is None):
             todo[folder] = missing
-    with progress_bar(console) as progress:
+    with held(cache.folder), progress_bar(console) as progress:
         total = len(folders)
         what = names[0] if len(names) == 1 else f"{len(names)} variants"
         task = progress.add_task(

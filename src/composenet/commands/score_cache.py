@@ -54,7 +54,7 @@ class ScoreCache:
 
     def _key(self, sequence: Path, variant: str) -> bytes:
         key = self._common.copy()
-        key.update(f"{sequence.resolve()} {variant}".encode())
+        key.update(f"{sequence.resolve()} {variant}".encode(errors="surrogateescape"))
         if sequence not in self._files:
             self._files[sequence] = _digest(sequence)
         key.update(self._files[sequence])
@@ -66,7 +66,7 @@ def _digest(folder: Path) -> bytes:
     digest = hashlib.sha256()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         content = hashlib.sha256(path.read_bytes()).hexdigest()
-        digest.update(f"{path.relative_to(folder)} {content}\n".encode())
+        digest.update(f"{path.relative_to(folder)} {content}\n".encode(errors="surrogateescape"))
     return digest.digest()
 
 
@@ -74,7 +74,7 @@ def kept_sequences(folder: Path) -> Iterator[tuple[str, str, ScoredSequence]]:
     """Name of the sequence, variant and scores of all that a cache's folder holds, whatever made
     them. The files are pickles: open only folders that you trust."""
     for path in sorted(folder.glob("*.pkl")):
-        name, variant, _ = path.name.split(".")
+        name, variant, _ = path.name.rsplit(".", 2)
         yield name, variant, pickle.loads(path.read_bytes().partition(b"\n")[2])
 
 

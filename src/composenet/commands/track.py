@@ -68,6 +68,8 @@ def track_recording(
 
         def write(frame: Frame, result: FrameResult) -> None:
             writer.add_frame(frame, result.objects, result.timings_ms)
+            if result.doubt:
+                writer.warn(result.doubt)
 
         failure = _track_frames(name, iter(sequence), count, tracker, write, progress, stop)
         if failure is not None and not writer.frames_taken:
@@ -110,7 +112,7 @@ def _track_frames(
     for done, frame in enumerate(frames, start=1):
         try:
             with device_errors(frame.name):
-                result = tracker(frame)
+                result = tracker.follow(tracker.look(frame))
         except DeviceError as error:
             return error
         take(frame, result)

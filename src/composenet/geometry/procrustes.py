@@ -66,7 +66,8 @@ def fit_similarity(
     source, target: (B, N, D), D = 2 or 3. weights: (B, N) >= 0, default ones. Observable when
     at least D points have weight, the source has spread, and the second-smallest signed
     singular sum is above relative_tolerance of the largest singular value: planar sets are
-    fine, collinear ones are not; upright, when what lies on a vertical line is not all there is.
+    fine, collinear ones are not; upright, when what lies on a vertical line is not all there is,
+    nor is most of it upside down.
     """
     if weights is None:
         weights = torch.ones_like(source[..., 0])
@@ -90,6 +91,7 @@ def fit_similarity(
     gain = (R.detach() * H).sum(dim=(1, 2)) / torch.where(
         observable, variance, torch.ones_like(variance)
     )
+    observable = observable & (gain.detach() > 0)  # upright, what hangs upside down has none
     scale = torch.where(observable, gain, torch.ones_like(gain))
     R = torch.where(observable[:, None, None], R, eye)
     t = mean_t - scale[:, None] * (R @ mean_s[..., None])[..., 0]

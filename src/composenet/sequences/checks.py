@@ -214,6 +214,7 @@ class HeightCheck:
         where = "lies below the floor" if below > above else "lies above 3 m"
         return (
             f"in {self._doubtful} of {self._frames} frames much of what is seen {where}, where "
-            "nothing is looked for: T_world_camera must have z up and z = 0 at the floor (a world "
-            "that begins at the camera wants the camera's height added)"
+            "nothing is looked for: the world must have z up and its floor at z = 0 (poses of a "
+            "live camera that begin at the camera want its height added; a recording may want "
+            "gravity-direction.txt or another --depth-scale)"
         )

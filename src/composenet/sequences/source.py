@@ -139,10 +139,12 @@ def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
 
 
 def images_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Image files of a folder by name without suffix; empty if there is no folder."""
+    """Image files of a folder by name without suffix; empty if there is no folder. Hidden ones
+    (`._1.png`, which some file systems keep beside `1.png`) are none."""
     if not folder.is_dir():
         return {}
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    files = sorted(path for path in shown if path.suffix.lower() in suffixes and path.is_file())
     return {path.stem: path for path in reversed(files)}
 
 

@@ -53,7 +53,7 @@ def link_offline(
     groups = [_Group.of(track) for track in sorted(tracks, key=_birth)]
     while config.use_correspondences and (merged := _merge_once(groups, config)):
         groups = merged
-    joined = [_joined(group, frames) for group in groups]
+    joined = [_joined(group, frames, config) for group in groups]
     return tuple(sorted(joined, key=lambda track: track.track_id))
 
 
@@ -117,7 +117,7 @@ def _merge_once(groups: list[_Group], config: TrackingConfig) -> list[_Group]:
     return list(merged.values()) if len(merged) < len(groups) else []
 
 
-def _joined(group: _Group, frames: Sequence[int]) -> Track:
+def _joined(group: _Group, frames: Sequence[int], config: TrackingConfig) -> Track:
     """The group as one track: seen entries, and between them those of whichever member was
     seen last, or a repetition of the entry before where that one had ended."""
     head = group.tracks[0]
@@ -137,17 +137,20 @@ def _joined(group: _Group, frames: Sequence[int]) -> Track:
         ):
             entry = recorded_entry
         elif frame < last_seen:
-            entry = _repeated(history[-1], frame)
+            entry = _repeated(history[-1], frame, config)
         else:
             break
         history.append(replace(entry, track_id=head.track_id, class_id=head.class_id))
     return Track(head.track_id, head.class_id, tuple(history), group.canonical)
 
 
-def _repeated(entry: TrackedObject, frame_index: int) -> TrackedObject:
-    """The entry once more, unseen."""
-    state = TrackState.LOST if entry.observed else entry.state
-    return replace(entry, frame_index=frame_index, observed=False, state=state)
+def _repeated(entry: TrackedObject, frame_index: int, config: TrackingConfig) -> TrackedObject:
+    """The entry once more, unseen; where nobody looked whether its place was in view, occluded."""
+    state = TrackState.OCCLUDED if entry.observed else entry.state
+    confidence = decay(state, config) * entry.confidence
+    return replace(
+        entry, frame_index=frame_index, observed=False, state=state, confidence=confidence
+    )
 
 
 def _by_frame(entries: Sequence[TrackedObject]) -> tuple[TrackedObject, ...]:

@@ -126,7 +126,7 @@ class RerunReplay:
         self._stream.save(path, default_blueprint=self._blueprint())
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
-        self._stream.send_recording_name(name)
+        self._stream.send_recording_name(name.encode(errors="replace").decode())
         self._stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._paths: dict[str, deque[FloatArray]] = {}
         self._entities: dict[int, str] = {}
