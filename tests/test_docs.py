@@ -1,5 +1,6 @@
-"""The Python of the pages runs as it stands there."""
+"""The Python of the pages runs as it stands there, and their tables hold what was measured."""
 
+import json
 import re
 from pathlib import Path
 
@@ -85,6 +86,106 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
         seen["tracker"].turn_back()
     histories = [[e.frame_index for e in track.history] for track in seen["tracker"].tracks()]
     assert all(frames == sorted(set(frames)) for frames in histories)
+
+
+def rows_of(page, title):
+    """Cells of the first table below a title, by row, without stars."""
+    lines = (ROOT / page).read_text().split(f"## {title}\n")[1].splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("| ---"))
+    table = []
+    for line in lines[start + 1 :]:
+        if not line.startswith("|"):
+            return table
+        table.append([cell.strip().strip("*") for cell in line.strip("|").split("|")])
+    return table
+
+
+def measured(file, variant):
+    return json.loads((ROOT / f"benchmarks/results/{file}.json").read_text())["variants"][variant]
+
+
+def tracking_cells(values):
+    """MOTA, IDF1, HOTA, identity switches."""
+    shares = [f"{values[name]:.1f}" for name in ("mota_mean", "idf1", "hota")]
+    return [*shares, str(values["id_switches"])]
+
+
+def frame_cells(values):
+    """Detection, completion, pose; blank where they were not measured."""
+    if values["det_map25"] is None:
+        return [""] * 3
+    return [
+        f"{values['det_map25']:.1f} / {values['det_map50']:.1f} %",
+        f"{values['completion_map25']:.1f} %",
+        f"{values['rotation_error_deg_median']:.1f} deg / "
+        f"{values['translation_error_cm_median']:.1f} cm",
+    ]
+
+
+def test_the_readmes_table_is_what_was_measured():
+    *ours, paper = rows_of("README.md", "How well it works")
+    runs = [("test", "full"), ("test", "offline"), ("estimated", "full")]
+    runs += [("test-cad", "full"), ("test-cad", "offline")]
+    for row, run in zip(ours, runs, strict=True):
+        values = measured(*run)
+        assert row[1:] == [*tracking_cells(values), *frame_cells(values)], row[0]
+    assert paper[:2] == ["paper", "42.3"]
+
+
+def test_the_table_of_ablations_is_what_was_measured():
+    table = rows_of("docs/figures.md", "Completion and correspondences")
+    runs = [("test", name) for name in ("full", "no-corr", "no-compl", "no-corr-no-compl")]
+    runs += [("test", name) for name in ("offline", "offline-no-corr", "offline-no-compl")]
+    runs += [("test-cad", name) for name in ("full", "no-compl")]
+    for row, run in zip(table, runs, strict=True):
+        values = measured(*run)
+        assert row[1:] == [*frame_cells(values), *tracking_cells(values)], (run, row)
+
+
+SYSTEMS = {
+    "F2F-GT": "f2f-gt",
+    "MID-Fusion with masks": "midfusion-gt-masks",
+    "ComPoseNet": "full",
+    "MaskFusion with masks": "maskfusion-gt-masks",
+    "F2F-MaskRCNN": "f2f-mask-rcnn",
+    "MID-Fusion": "midfusion",
+    "MaskFusion": "maskfusion",
+}
+
+
+def system_of(row):
+    told = " with masks" if row[0] != "F2F-GT" and row[1].startswith("masks") else ""
+    return SYSTEMS[row[0] + told]
+
+
+def test_the_readmes_comparison_is_what_was_measured():
+    table = rows_of("README.md", "Other systems on the same frames")
+    assert {system_of(row) for row in table} == set(SYSTEMS.values())
+    for row in table:
+        name = system_of(row)
+        assert row[2:6] == tracking_cells(measured("comparison", name)), name
+        assert row[6] == f"{measured('comparison_speed', name)['seconds_per_frame_median']:.2f}"
+        assert row[7] == f"{measured('comparison-cad', name)['mota_mean']:.1f}"
+        if row[8] != "-":
+            long = measured("long" if name == "full" else "comparison-long", name)
+            assert row[8] == f"{long['mota_mean']:.1f}", name
+
+
+def test_the_table_of_returns_is_what_was_measured():
+    for row in rows_of("docs/figures.md", "Leaving and coming back"):
+        ours = {"without correspondences": "no-corr", "without completion": "no-compl"}
+        name = ours.get(row[0]) or system_of(row)
+        own = name in {"full", *ours.values()}
+        values = measured("long" if own else "comparison-long", name)
+        mota, *rest = tracking_cells(values)
+        assert [row[2], *row[4:7]] == [mota, *rest], name
+        file = "returns" if own else "comparison-returns"
+        text = (ROOT / f"benchmarks/results/{file}.json").read_text()
+        returned = json.loads(text)["rows"][name]
+        assert row[3] == ", ".join(f"{part:.1f}" for part in returned["mota_by_part"]), name
+        for cell, what in zip(row[7:], ("at_rest", "moved"), strict=True):
+            counts = returned[what]
+            assert cell == f"{counts['kept']} of {counts['kept'] + counts['changed']}", name
 
 
 def test_thresholds_are_those_of_the_shipped_weights():
