@@ -196,6 +196,7 @@ def main(
     folders = sequence_folders(data)
     run, first = read_scores(scores, folders, one)
     _, second = read_scores(scores, folders, other)
+    first = {folder: item for folder, item in first.items() if folder in second}
     leads = differences(first, second)
     items = [item for f in first for item in counted_objects(f, first[f], second[f])]
     worst_first = [replace(d, lead=-d.lead) for d in reversed(leads)]

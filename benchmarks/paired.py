@@ -38,8 +38,9 @@ def main(
         motas.append({path: 100 * item.scores.clear.mota for path, item in kept.items()})
         mean, error = difference(motas[-1], motas[0])
         ahead = {"mota_minus_first": round(mean, 2), "standard_error": round(error, 2)}
-        rows[folder.name] = run | {"variants": {variant: run["variants"][variant] | ahead}}
-        print(f"{folder.name}: MOTA {mean:+.2f}, standard error {error:.2f}")
+        name = folder.name if folder.name not in rows else str(folder)
+        rows[name] = run | {"variants": {variant: run["variants"][variant] | ahead}}
+        print(f"{name}: MOTA {mean:+.2f}, standard error {error:.2f}")
     command = f"python benchmarks/paired.py {' '.join(map(str, scores))} --data {data}"
     info = RunInfo(data.name, 0, f"{command} --variant {variant}")
     numbers.write_text(json.dumps(asdict(info) | {"runs": rows}, indent=2) + "\n")

@@ -139,7 +139,7 @@ def chosen(
     moved of each of the first sequences."""
     cases: dict[Path, Case] = {}
     for folder, own in ones.items():
-        for a, b in zip(own, others[folder], strict=True):
+        for a, b in zip(own, others.get(folder, own), strict=True):
             better = a.outcome is Outcome.KEPT and b.outcome is Outcome.CHANGED
             farthest = cases[folder].one.moved_m if folder in cases else MOVED_M
             if better and a.moved_m > farthest:
@@ -153,7 +153,8 @@ def sheet(cases: Sequence[Case], rows: dict[str, dict[Path, ScoredSequence]]) ->
     for case in cases:
         (name, own), (other_name, others) = rows.items()
         one, other = own[case.folder], others[case.folder]
-        assert case.one.before and case.one.after and case.other.after
+        assert case.one.before is not None and case.one.after is not None
+        assert case.other.after is not None
         left = _when(one, case.one.before, range(case.one.left, -1, -1))
         back = _when(one, case.one.after, range(case.one.back, len(one.tracked)))
         later = _when(other, case.other.after, range(case.other.back, len(other.tracked)))

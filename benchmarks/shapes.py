@@ -103,15 +103,13 @@ def shapes_of(folder: Path, weights: Path) -> ShapesOf:
     """Track a sequence and compare."""
     torch.set_num_threads(1)
     tracker, sequence = load_tracker(weights), open_sequence(folder)
-    place_of = {}
-    for i, frame in enumerate(sequence):
+    for frame in sequence:
         tracker(frame)
-        place_of[frame.index] = i
     truths = posed_truths(moved_truth(read_truth(folder), sequence.T_level_source))
     result = ShapesOf({name: [] for name in LEVELS}, [])
     for track in tracker.tracks():
         seen = [
-            (entry, object_of(entry, truths[place_of[entry.frame_index]]))
+            (entry, object_of(entry, truths[entry.frame_index]))
             for entry in track.history
             if entry.observed
         ]

@@ -209,6 +209,13 @@ def test_a_second_run_does_not_keep_scores_in_the_same_folder(tmp_path: Path) ->
         jobs.run_jobs(["row"], [tmp_path], dies_of_one, cache, 1, Console(quiet=True))
 
 
+def test_a_page_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str], run) -> None:
+    data = tmp_path / "data"
+    for report in (tmp_path, tmp_path / "page"):
+        assert run("--data", data, "--out", tmp_path / "out", "--report", report) == 2
+        assert "name a file" in capsys.readouterr().err
+
+
 def test_a_failing_sequence_is_named_and_the_others_are_scored(
     run, capsys, three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -118,6 +118,14 @@ def test_who_leads_among_those_given_no_true_masks(outcomes: dict[Job, Outcome])
     assert len(re.findall(r"\*\*full is", markdown(INFO, rows, Cameras.GIVEN))) == 1
 
 
+def test_a_row_that_failed_on_some_sequences_is_not_the_best(outcomes: dict[Job, Outcome]) -> None:
+    worse, folders = next(iter(outcomes.values())), [path for _, path in list(outcomes)[:2]]
+    perfect = outcomes["full", folders[0]]
+    rows = {(name, f): worse for name in ("full", "f2f-gt") for f in folders}
+    rows |= {("midfusion", folders[0]): perfect, ("midfusion", folders[1]): "out of memory"}
+    assert "of f2f-gt**, the best other row" in markdown(INFO, rows, Cameras.GIVEN)
+
+
 def test_worst_frames_of_each_sequence_come_first(outcomes: dict[Job, Outcome]) -> None:
     any_scores = next(o for o in outcomes.values() if isinstance(o, ScoredSequence))
 

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import socket
 from dataclasses import replace
 from pathlib import Path
@@ -107,6 +108,18 @@ def test_sequences_of_other_meshes_are_not_taken_for_finished(tmp_path: Path) ->
     assert older.pop("cad_meshes") == cad.digest(tmp_path / "a")
     path.write_text(json.dumps(older))  # written before the meshes were told of
     assert dataset.write_split("val", 1, tmp_path / "out", 5, options[1]) == (folder,)
+
+
+def test_damaged_shapes_are_told_of(written: tuple[Scene, Path], tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(written[1], folder)
+    path = next((folder / "shapes").glob("*.npz"))
+    whole = path.read_bytes()
+    spoiled = whole[:80] + bytes(64) + whole[144:]
+    for content in (whole[: len(whole) // 2], b"", spoiled):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match="damaged"):
+            dataset.read_truth(folder)
 
 
 def test_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

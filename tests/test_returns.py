@@ -136,6 +136,13 @@ def test_shares_are_of_those_known_before_and_after() -> None:
     assert table == {"at_rest": rest, "moved": moved}
 
 
+def test_pictures_are_of_sequences_that_both_have() -> None:
+    kept, changed = Return(1, 0, 9, 0.5, 0, 0), Return(1, 0, 9, 0.5, 0, 2)
+    a, b = Path("a"), Path("b")
+    (case,) = benchmark.chosen({a: (kept,), b: (kept,)}, {a: (changed,)})
+    assert (case.folder, case.one, case.other) == (a, kept, changed)
+
+
 def renamed(folder: Path, names: Sequence[int]) -> ScoredSequence:
     """The truth of a sequence as tracks, whose names grow by names[frame]."""
     truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)

@@ -19,7 +19,7 @@ from composenet.records import (
     SequenceTruth,
     Symmetry,
 )
-from composenet.synth import cad, stats
+from composenet.synth import cad, furnish, stats
 from composenet.synth.furniture import FURTHER_STYLES
 from composenet.synth.occupancy import occupancy
 from composenet.synth.scene import Scene, SceneOptions, generate_scene, stretched
@@ -246,6 +246,39 @@ def test_cad_axes_and_symmetry(tmp_path: Path) -> None:
     assert found["table"] is Symmetry.FOUR
     assert found["sink"] is Symmetry.INF
     assert shapes["desk"].watertight
+
+
+def test_cad_parts_may_face_inwards_or_both_ways(tmp_path: Path) -> None:
+    """Nobody sees which way a face looks; what it encloses is solid all the same."""
+    legs = [trimesh.creation.box([0.05, 0.4, 0.05]) for _ in range(4)]
+    for leg, x, z in zip(legs, (-0.2, -0.2, 0.2, 0.2), (-0.2, 0.2, -0.2, 0.2), strict=True):
+        leg.apply_translation([x, -0.225, z])
+    seat = trimesh.creation.box([0.5, 0.05, 0.5])
+    write_cad(tmp_path, "chair", trimesh.util.concatenate([seat, *legs]))
+    for leg in legs:
+        leg.invert()
+    write_cad(tmp_path, "table", trimesh.util.concatenate([seat, *legs]))
+    twice = trimesh.util.concatenate([seat, *legs])
+    twice.faces = np.vstack([twice.faces, twice.faces[:, ::-1]])
+    write_cad(tmp_path, "desk", twice)
+    right, inward, both = (
+        occupancy(cad.load_shape(tmp_path / name / "one.obj", name))
+        for name in ("chair", "table", "desk")
+    )
+    assert right[:, :, :20].any()
+    np.testing.assert_array_equal(inward, right)
+    assert np.mean(both == right) > 0.98
+
+
+def test_meshes_that_fit_in_no_room_are_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(furnish, "MOST_TRIES", 3)
+    for name in CLASS_NAMES:
+        write_cad(tmp_path, name, trimesh.creation.box([4.9, 3.0, 4.9]))
+    (tmp_path / "chair" / "._one.obj").write_text("kept by some file systems")
+    with pytest.raises(DataError, match="are the meshes in metres"):
+        generate_scene("train", 0, SceneOptions(cad_dir=tmp_path, cad_share=1.0))
 
 
 def test_cad_front_becomes_x(tmp_path: Path) -> None:

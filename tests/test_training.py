@@ -18,6 +18,7 @@ import pytest
 import torch
 from PIL import Image
 
+from composenet import cli
 from composenet.config import dump
 from composenet.errors import DataError, WeightsError
 from composenet.files import held
@@ -256,6 +257,21 @@ def test_damaged_data_is_one_line(recordings: Path, tmp_path: Path, workers: int
     with pytest.raises(DataError, match="val_00000, frame") as caught:
         train(CONFIG, run, SceneSource(data_dir=folder.parent))
     assert "\n" not in str(caught.value) and "DataError" not in str(caught.value)
+
+
+def test_learning_from_what_is_measured_on_is_told_of(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setattr(loop, "train", lambda *_: tmp_path / "weights.safetensors")
+    arguments = ["composenet", "train", "--out", tmp_path / "out", "--data", recordings]
+    monkeypatch.setattr(sys, "argv", [str(part) for part in arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 0 and "sequences of val" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", [str(part) for part in (*arguments, "--cad", tmp_path)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 2 and "--cad is for generated scenes" in capsys.readouterr().err
 
 
 def test_an_empty_folder_of_data(tmp_path: Path) -> None:

@@ -34,3 +34,11 @@ def test_says_only_what_is_learned(
         assert part in line
     assert not any(word in line for word in unsaid)
     assert "total=1.25" in (tmp_path / "steps.log").read_text()
+
+
+def test_one_step_that_is_not_finite_does_not_spoil_what_is_said(tmp_path: Path) -> None:
+    log = StepLog(tmp_path, minutes=10, quiet=False)
+    for loss in (float("nan"), 2.0, float("inf"), 2.0):
+        log.step(Progress(step=1), {"total": loss}, rate=1e-3, waited=0.1, took=0.4, share=0.5)
+    log.close()
+    assert log.mean["total"] == 2.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -239,13 +240,14 @@ class Log:
         line = " ".join(f"{name}={value:.4g}" for name, value in values.items())
         self._file.write(f"step={progress.step} {line}\n")
         for name, value in values.items():
-            self._mean[name] = 0.98 * self._mean.get(name, value) + 0.02 * value
+            if math.isfinite(value):
+                self._mean[name] = 0.98 * self._mean.get(name, value) + 0.02 * value
         if time.monotonic() - self._said < SAY_EVERY_S:
             return
         self._said = time.monotonic()
         self._file.flush()
         names = ("total", "objectness", "classifier", "box_reg", "mask", "semantic")
-        losses = "  ".join(f"{name} {self._mean[name]:.3f}" for name in names)
+        losses = "  ".join(f"{name} {self._mean.get(name, math.nan):.3f}" for name in names)
         waiting = 100 * self._mean["wait_s"] / self._mean["step_s"]
         self._console.print(
             f"step {progress.step}  {losses}  {self._mean['step_s']:.1f} s a step, waiting "

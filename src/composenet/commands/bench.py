@@ -55,6 +55,8 @@ def run_bench(
     """The command. Finished sequences are kept in `out`, so that a run can be resumed. A sequence
     that a method fails on is named under the table and makes the exit code 1."""
     console = Console()
+    if report is not None and (not report.suffix or report.is_dir()):
+        raise DataError(f"--report {report}: name a file, such as {report / 'benchmark.md'}")
     names = chosen_methods(methods)
     folders = sequence_folders(data)
     out.mkdir(parents=True, exist_ok=True)
@@ -120,8 +122,10 @@ def _cache(out: Path, name: str, weights: Path | None, asked: Asked) -> ScoreCac
 
         assert weights is not None
         return variant_cache(out, weights, asked.device)
-    weights = weights or Path(os.devnull)
-    return ScoreCache(out / "sequences", made_by(name), weights, asked.cameras, asked.device)
+    from composenet.pipeline import select_device
+
+    weights, device = weights or Path(os.devnull), str(select_device(asked.device))
+    return ScoreCache(out / "sequences", made_by(name), weights, asked.cameras, device)
 
 
 def made_by(name: str) -> list[str]:

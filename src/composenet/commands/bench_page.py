@@ -101,9 +101,11 @@ def _lead(outcomes: Mapping[Job, Outcome]) -> list[str]:
 def _ahead_of(
     ours: Mapping[Path, float], others: Mapping[str, Mapping[Path, float]], which: str
 ) -> str:
-    """One sentence on the row with the best mean; empty where there is nothing to compare."""
+    """One sentence on the row with the best mean, of those of all our sequences if there are any;
+    empty where there is nothing to compare."""
     if not ours or not others:
         return ""
+    others = {name: row for name, row in others.items() if ours.keys() <= row.keys()} or others
     best = max(others, key=lambda name: float(np.nanmean(list(others[name].values()))))
     shared = [folder for folder in ours if folder in others[best]]
     ahead = np.array([ours[folder] - others[best][folder] for folder in shared])

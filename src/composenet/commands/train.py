@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.commands.terminal import say
+from composenet.commands.terminal import say, warn
+from composenet.errors import DataError
 
 
 def run_train(
@@ -27,8 +28,18 @@ def run_train(
     """The command."""
     from composenet.training.config import training_config
     from composenet.training.data import SceneSource
+    from composenet.training.disk import other_splits
     from composenet.training.loop import RunOptions, train
 
+    first_process = os.environ.get("RANK", "0") == "0"
+    if data is not None and cad is not None:
+        raise DataError("--cad is for generated scenes, not for those of --data; leave one out")
+    if data is not None and first_process and (others := other_splits(data)):
+        warn(
+            Console(),
+            f"{data} holds sequences of {' and '.join(others)}: what was learned from them cannot "
+            "be measured on them",
+        )
     options = RunOptions(
         out=out,
         max_minutes=max_minutes,
@@ -40,7 +51,7 @@ def run_train(
     )
     source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
     weights = train(training_config(config) if config else None, options, source)
-    if os.environ.get("RANK", "0") == "0":
+    if first_process:
         done = f"wrote {weights}; try it: composenet demo --weights {weights}"
         say(Console(), done if weights.exists() else "stopped before the first step: wrote nothing")
     return 0

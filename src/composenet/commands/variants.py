@@ -10,7 +10,7 @@ import numpy as np
 
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import WAYS, ScoredSequence, moved_truth, score_tracks
-from composenet.pipeline import FrameResult, ObjectTracker, load_tracker
+from composenet.pipeline import FrameResult, ObjectTracker, load_tracker, select_device
 from composenet.records import Frame, SequenceTruth
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
@@ -82,4 +82,4 @@ def _score(
 
 def variant_cache(out: Path, weights: Path, device: str) -> ScoreCache:
     """Where the variants' scores are kept."""
-    return ScoreCache(out / "sequences", [__name__], weights, device)
+    return ScoreCache(out / "sequences", [__name__], weights, str(select_device(device)))

@@ -23,6 +23,9 @@ from composenet.synth.shape import Material, Shape
 SUFFIXES = (".obj", ".ply", ".off", ".stl", ".glb")
 SYMMETRY_IOU = 0.92
 THINNEST_M = 0.01
+LONGEST_M = 5.0
+READ_AS = 2
+"""Counts changes of what is made of a mesh."""
 _SYMMETRY_CELLS = 32
 
 
@@ -35,7 +38,7 @@ def load_library(folder: Path) -> dict[str, tuple[Path, ...]]:
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder; expected DIR/CLASS/*.obj, CLASS e.g. chair")
     library = {
-        name: tuple(sorted(p for p in (folder / name).iterdir() if p.suffix.lower() in SUFFIXES))
+        name: tuple(sorted(filter(_is_mesh, (folder / name).iterdir())))
         for name in CLASS_NAMES
         if (folder / name).is_dir()
     }
@@ -48,16 +51,24 @@ def load_library(folder: Path) -> dict[str, tuple[Path, ...]]:
     return library
 
 
+def _is_mesh(path: Path) -> bool:
+    """Hidden files (`._chair.obj`, which some file systems keep beside `chair.obj`) are none."""
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+
+
 def digest(folder: Path) -> str:
-    """What meshes a folder holds, by their names and sizes. Raises DataError (`load_library`)."""
+    """What meshes a folder holds, by their names and sizes, and how they are read. Raises DataError
+    (`load_library`)."""
     files = [path for paths in load_library(folder).values() for path in paths]
     names = [f"{path.relative_to(folder).as_posix()} {path.stat().st_size}" for path in files]
-    return hashlib.sha256("\n".join(names).encode()).hexdigest()[:12]
+    text = "\n".join([f"read as {READ_AS}", *names])
+    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:12]
 
 
 @lru_cache(maxsize=512)
 def load_shape(path: Path, class_name: str) -> Shape:
-    """One mesh in object axes, centred. Its symmetry is measured on its occupancy.
+    """One mesh in object axes, centred, without faces that lie on each other and with closed parts
+    turned outwards. Its symmetry is measured on its occupancy.
 
     Raises DataError where the file is no mesh, or is not in metres.
     """
@@ -65,7 +76,7 @@ def load_shape(path: Path, class_name: str) -> Shape:
     vertices = np.asarray(mesh.vertices, dtype=np.float64)[:, [2, 0, 1]]
     low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
     longest = float((high - low).max())
-    if not 0.1 <= longest <= 10.0:
+    if not 0.1 <= longest <= LONGEST_M:
         raise DataError(f"{path}: {longest:.3g} m long; expected furniture in metres")
     if (thinnest := float((high - low).min())) < THINNEST_M:
         raise DataError(f"{path}: only {thinnest:.3g} m thick; expected a solid piece of furniture")
@@ -91,6 +102,9 @@ def _load_mesh(path: Path) -> trimesh.Trimesh:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"{path}: expected a triangle mesh, found no faces")
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    mesh.update_faces(mesh.unique_faces())  # a face and its back count for nothing
+    if mesh.is_watertight:
+        mesh.fix_normals(multibody=True)
     return mesh
 
 
@@ -138,7 +152,7 @@ def _parts(mesh: trimesh.Trimesh) -> NDArray[np.int32]:
 
 def _material(path: Path) -> Material:
     """A colour that depends on the file's name only."""
-    rng = np.random.default_rng(zlib.crc32(path.name.encode()))
+    rng = np.random.default_rng(zlib.crc32(path.name.encode(errors="surrogateescape")))
     color = rng.uniform(0.2, 0.9, 3)
     pattern = str(rng.choice(["plain", "wood", "fabric"]))
     rgb = (float(color[0]), float(color[1]), float(color[2]))

@@ -11,6 +11,8 @@ import json
 import os
 import shutil
 import socket
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed
 from functools import partial
@@ -56,6 +58,7 @@ from composenet.synth.solid import canonical_mesh
 ANNOTATION_VERSION = 1
 _PARTIAL = ".partial-"
 _HERE = socket.gethostname()
+_DAMAGED = (KeyError, TypeError, ValueError, OSError, EOFError, zlib.error, zipfile.BadZipFile)
 Result = TypeVar("Result")
 
 
@@ -141,7 +144,7 @@ def read_truth(folder: Path) -> SequenceTruth:
             ),
             image_size=(int(data["image_size"][0]), int(data["image_size"][1])),
         )
-    except (KeyError, TypeError, ValueError, OSError) as error:
+    except _DAMAGED as error:
         raise DataError(
             f"{folder / 'annotations.json'}: damaged annotations ({error!r}); write it again"
         ) from None
@@ -186,6 +189,11 @@ def _check_same(folder: Path, split: str, index: int, options: SceneOptions) -> 
                 f"{folder}: holds a sequence with {key} {data.get(key)}, not {value}; "
                 "remove it or choose another folder"
             )
+
+
+def read_split(folder: Path) -> str:
+    """The split that a written sequence is of. Raises DataError."""
+    return str(_read_annotations(folder).get("split"))
 
 
 def _read_annotations(folder: Path) -> dict[str, Any]:
@@ -338,6 +346,7 @@ def _map(
             return
         with worker_pool(workers) as pool:
             futures = [pool.submit(work, index) for index in indices]
-            for _ in as_completed(futures):
+            for done in as_completed(futures):
+                done.result()  # what goes wrong is said at once
                 progress.advance(task)
             yield from (future.result() for future in futures)

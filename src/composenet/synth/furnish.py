@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from composenet.errors import DataError
 from composenet.records import CLASS_NAMES
 from composenet.synth.kitchen import fit_kitchen
 from composenet.synth.placement import Layout
@@ -14,6 +15,8 @@ from composenet.synth.shape import Shape
 
 MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -> shape
 MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
+MOST_TRIES = 200
+"""Rooms that are tried; of ordinary furniture few are not enough."""
 
 ROOM_KINDS = {  # share, shortest and longest side in metres
     "living": (0.13, (3.8, 7.5)),
@@ -28,9 +31,9 @@ ROOM_KINDS = {  # share, shortest and longest side in metres
 
 def furnish(rng: np.random.Generator, make: MakeShape, cad_share: float = 0.0) -> Layout:
     """A room with 3-9 pieces of furniture and at least 3 other things. cad_share: share of
-    meshes in what `make` returns."""
+    meshes in what `make` returns. Raises DataError where nothing fits."""
     kinds = list(ROOM_KINDS)
-    while True:
+    for _ in range(MOST_TRIES):
         kind = str(rng.choice(kinds, p=[ROOM_KINDS[k][0] for k in kinds]))
         size = rng.uniform(*ROOM_KINDS[kind][1], 2)
         layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng, cad_share)
@@ -41,6 +44,10 @@ def furnish(rng: np.random.Generator, make: MakeShape, cad_share: float = 0.0) -
         _add_clutter(layout, make)
         if len(layout.items) - len(layout.furniture) >= MIN_CLUTTER:
             return layout
+    raise DataError(
+        f"none of {MOST_TRIES} rooms has space for {MIN_FURNITURE} pieces of this furniture; "
+        "are the meshes in metres?"
+    )
 
 
 def _full(layout: Layout) -> bool:

@@ -11,8 +11,8 @@ from PIL import Image
 
 from composenet.errors import DataError
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
-from composenet.synth.dataset import read_truth
-from composenet.synth.scene import RenderedFrame
+from composenet.synth.dataset import read_split, read_truth
+from composenet.synth.scene import SPLITS, RenderedFrame
 
 
 class DiskScene:
@@ -57,6 +57,13 @@ class DiskScene:
     def object_truth(self, gt_id: int, solid: bool = True) -> ObjectTruth:
         """Ground truth of one object, as it was written."""
         return next(item for item in self.truth.objects if item.gt_id == gt_id)
+
+
+def other_splits(data_dir: Path) -> list[str]:
+    """Splits of the generator, but for `train`, that sequences of a folder are of: what is learned
+    from them cannot be measured on them. Raises DataError."""
+    found = {read_split(path.parent) for path in data_dir.glob("*/annotations.json")}
+    return sorted(found & {*SPLITS} - {"train"})
 
 
 def disk_scene(data_dir: Path, index: int) -> DiskScene:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -40,7 +41,8 @@ class StepLog:
         line = " ".join(f"{name}={value:.4g}" for name, value in shown.items())
         self.file.write(f"step={progress.step} {line}\n")
         for name, value in shown.items():
-            self.mean[name] = 0.98 * self.mean.get(name, value) + 0.02 * value
+            if math.isfinite(value):  # of a step that was skipped it is not
+                self.mean[name] = 0.98 * self.mean.get(name, value) + 0.02 * value
             if self.board and progress.step % 20 == 0:
                 self.board.add_scalar(f"train/{name}", value, progress.step)
         if time.monotonic() - self.last > 20:
@@ -50,7 +52,8 @@ class StepLog:
             waiting = 100 * self.mean["wait_s"] / self.mean["step_s"]
             left = (1 - share) * self.minutes
             self.console.print(
-                f"step {progress.step}  loss {self.mean['total']:.3f}  {self._objects()}"
+                f"step {progress.step}  loss {self.mean.get('total', math.nan):.3f}  "
+                f"{self._objects()}"
                 f"{frames_a_second:.1f} frames/s  waiting {waiting:.0f}%  "
                 f"up to {left:.0f} min left",
                 highlight=False,
