@@ -525,7 +525,9 @@ def test_ctrl_c_stops_cleanly_and_keeps_a_checkpoint(recordings: Path, tmp_path:
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
     )
     try:
-        line = process.stdout.readline() if process.stdout else ""  # the first step is done
+        assert process.stdout is not None
+        assert "sequences of val" in process.stdout.readline()
+        line = process.stdout.readline()  # the first step is done
         assert line.startswith("step "), line
         os.killpg(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=30)
