@@ -22,6 +22,7 @@ from composenet.records import (
 from composenet.synth import cad, furnish, stats
 from composenet.synth.furniture import FURTHER_STYLES
 from composenet.synth.occupancy import occupancy
+from composenet.synth.room import make_room
 from composenet.synth.scene import Scene, SceneOptions, generate_scene, stretched
 from composenet.synth.solid import union_of
 
@@ -50,6 +51,39 @@ def placed_solid(scene: Scene, frame: int, slot: int) -> m3.Manifold:
 def bottoms(scene: Scene, frame: int) -> np.ndarray:
     heights = np.array([shape.extents_m[2] for shape in scene.shapes])
     return scene.T_world_shape[frame, :, 2, 3] - heights / 2
+
+
+@pytest.mark.parametrize("index", [58, 142, 170, 185])
+def test_nothing_drives_over_the_camera(index: int) -> None:
+    """In these rooms something did, before the camera was asked for."""
+    scene = generate_scene("val", index)
+    for i in range(scene.n_frames):
+        eye = scene.T_world_camera[i, :3, 3]
+        for slot in range(1, len(scene.shapes)):
+            local = apply_T(np.linalg.inv(scene.T_world_shape[i, slot]), eye[None])[0]
+            assert (np.abs(local) > scene.shapes[slot].extents_m / 2 + 0.05).any(), (i, slot)
+
+
+def test_no_corridor_reaches_into_the_room() -> None:
+    """Behind the door of a notch's wall it would."""
+    rng = np.random.default_rng(0)
+    rooms = [make_room(rng, (6.0, 5.0)) for _ in range(120)]
+    notched, doors = 0, 0
+    for room in rooms:
+        if room.notch is None:
+            continue
+        notched += 1
+        mesh = trimesh.Trimesh(room.shape.vertices, room.shape.faces, process=False)
+        points, _ = trimesh.sample.sample_surface(mesh, 20_000, seed=0)
+        points = points + room.origin
+        doors += (points[:, :2] < -0.9).any() or (points[:, :2] > np.array([6.9, 5.9])).any()
+        x, y, _, half_x, half_y = room.notch
+        standing = (points[:, 2] > 0.3) & (points[:, 2] < 2.2)
+        inside = ((points[:, :2] > 0.1) & (points[:, :2] < np.array([5.9, 4.9]))).all(axis=1)
+        off = np.abs(points[:, :2] - (x, y))
+        cut = (off < np.array([half_x, half_y]) + 0.1).all(axis=1)
+        assert not (standing & inside & ~cut).any()
+    assert notched > 20 and doors > 5
 
 
 def test_a_scene_is_a_function_of_split_and_index() -> None:

@@ -14,6 +14,7 @@ from composenet.synth.sensor import (
     SensorKind,
     _edge_step,
     _near_edges,
+    _projector_sees,
     as_stored,
     measure,
     sample_sensor,
@@ -31,7 +32,7 @@ QUIET = Sensor(
     grazing_cosine=0.1,
     loss=0.0,
     edge_loss=0.0,
-    warp=0.0,
+    warp=np.zeros((4, 5), np.float32),
 )
 TOF = replace(QUIET, kind=SensorKind.TIME_OF_FLIGHT)
 
@@ -93,12 +94,38 @@ def step_scene() -> tuple[np.ndarray, np.ndarray]:
     return depth, surface
 
 
-def test_projector_shadow_lies_on_one_side() -> None:
+def test_projector_shadow_lies_on_the_wall_left_of_what_casts_it() -> None:
     """Its width is the difference of the disparities: f b (1/1.5 - 1/3) = 6.5 px."""
-    seen = look(QUIET, *step_scene())
-    row = seen[120] == 0
-    assert 5 <= row.sum() <= 8
-    assert row[93:107].sum() == row.sum() or row[213:230].sum() == row.sum()
+    clean, surface = step_scene()
+    dark = look(QUIET, clean, surface)[120] == 0
+    assert (clean[120][dark] == 3.0).all()
+    assert np.flatnonzero(dark).tolist() in (list(range(93, 100)), list(range(94, 100)))
+
+
+def test_a_leg_is_seen_and_casts_a_shadow_as_wide_as_itself() -> None:
+    clean, surface = wall(3.0)
+    clean[:, 150:154] = 1.5
+    dark = look(QUIET, clean, surface)[120] == 0
+    assert (clean[120][dark] == 3.0).all() and 4 <= dark.sum() <= 5
+    assert abs(np.flatnonzero(dark).mean() - (151.5 - 6.5)) <= 1
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(5.0, 40.0))
+def test_the_projector_sees_what_no_other_pixel_hides(seed: int, focal_baseline: float) -> None:
+    """Against all pairs of a row: a pixel is dark where a nearer one lies in its column, and lit
+    where none does within a column."""
+    rng = np.random.default_rng(seed)
+    depth = np.repeat(rng.choice([0.0, 0.8, 1.5, 2.5, 4.0], 12), rng.integers(1, 12, 12))
+    depth = depth.astype(np.float32)[None]
+    lit = _projector_sees(depth, focal_baseline)[0]
+    u = np.flatnonzero(depth[0] * depth.shape[1] > focal_baseline)
+    z = depth[0, u].astype(np.float64)
+    column = u - focal_baseline / z
+    apart = np.abs(column[:, None] - column)
+    nearer = z < z[:, None] / (1 + EDGE_STEP)
+    assert not lit[u][(nearer & (apart < 0.49)).any(axis=1)].any()
+    assert lit[u][~(nearer & (apart < 1.51)).any(axis=1)].all()
 
 
 def test_flying_pixels_only_with_time_of_flight() -> None:
@@ -109,6 +136,41 @@ def test_flying_pixels_only_with_time_of_flight() -> None:
     ]
     assert between[0] == 0
     assert between[1] > 100
+
+
+@pytest.mark.parametrize("edge_loss", [0.0, 0.4, 0.7])
+def test_flying_pixels_lie_between_and_nearer_to_their_own_surface(edge_loss: float) -> None:
+    clean, surface = step_scene()
+    sensor = replace(TOF, edge_loss=edge_loss, phase_noise=0.0)
+    for column, own, other in ((99, 3.0, 1.5), (100, 1.5, 3.0)):
+        rows = [look(sensor, clean, surface, seed)[61:179, column] for seed in range(5)]
+        kept = np.concatenate(rows)
+        assert np.mean(kept == 0) == pytest.approx(edge_loss, abs=0.08)
+        share = (kept[kept > 0] - own) / (other - own)
+        assert share.min() > -0.01 and share.max() < 0.51
+        assert np.mean(share < 0.01) == pytest.approx(0.5, abs=0.12)
+
+
+def test_the_warp_is_the_cameras_and_stays() -> None:
+    sensor = replace(sample_sensor(np.random.default_rng(3)), kind=SensorKind.TIME_OF_FLIGHT)
+    sensor = replace(sensor, phase_noise=0.0, loss=0.0)
+    assert sensor.warp.shape == (4, 5) and 0 < np.abs(sensor.warp).max() <= 0.008
+    first, second = (look(sensor, *wall(3.0), seed) for seed in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert np.ptp(first) > 0.2 * 3 * np.ptp(sensor.warp)
+    assert np.abs(first / 3 - 1).max() <= np.abs(sensor.warp).max() + 0.0005
+
+
+def test_noise_is_as_coarse_whatever_is_drawn() -> None:
+    """Neighbours that are as far apart in the view are as alike."""
+    alike = []
+    for factor in (1, 2):
+        camera = Camera(CAMERA.K * [[factor], [factor], [1]], 320 * factor, 240 * factor)
+        depth, surface = (a.repeat(factor, 0).repeat(factor, 1) for a in wall(3.0))
+        seen = measure(QUIET, depth, surface, camera, np.random.default_rng(0)) - 3
+        lag = 2 * factor
+        alike.append(np.corrcoef(seen[:, lag:].ravel(), seen[:, :-lag].ravel())[0, 1])
+    assert alike[0] > 0.4 and abs(alike[0] - alike[1]) < 0.08
 
 
 def test_edges_lose_depth_and_wander() -> None:

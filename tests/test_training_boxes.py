@@ -20,6 +20,7 @@ from composenet.network.box_head import BoxFields
 from composenet.records import Box
 from composenet.training.losses import box_losses
 from composenet.training.proposals import (
+    CROP_IOU,
     POSITIVE_IOU,
     TrainingBoxes,
     chosen_objects,
@@ -52,9 +53,9 @@ def nothing() -> Proposals:
 
 def test_boxes_know_their_object() -> None:
     batch = one_object()
-    boxes = matched(batch, [0.0, 0.5, -0.7, 2.0])
+    boxes = matched(batch, [0.0, -0.7, 0.9, 2.0])
     assert boxes.rows.tolist() == [0, 0, 0, 0]
-    np.testing.assert_allclose(boxes.iou, [1, 1 / 3, 0.3 / 1.7, 0], atol=1e-6)
+    np.testing.assert_allclose(boxes.iou, [1, 0.3 / 1.7, 0.1 / 1.9, 0], atol=1e-6)
     assert boxes.positive.tolist() == [True, True, False, False]
     other = matched(batch, [0.0], frame=0)  # the same place, another frame
     assert other.iou.tolist() == [0] and not other.positive.any()
@@ -128,7 +129,7 @@ def test_jitter_varies_about_the_truth() -> None:
     g, first = generator(), torch.tensor([0])
     many = [training_boxes(batch, (), g)[first] for _ in range(300)]
     overlaps = torch.cat([boxes.iou for boxes in many])
-    assert (overlaps >= POSITIVE_IOU).double().mean() > 0.9 and overlaps.max() < 1
+    assert (overlaps >= CROP_IOU).double().mean() > 0.9 and overlaps.max() < 1
     assert overlaps.min() < 0.4 and overlaps.max() > 0.9
     gaps = torch.cat([(boxes.center - batch.center) / batch.extents for boxes in many])
     assert gaps.mean(dim=0).abs().max() < 0.03
@@ -147,15 +148,16 @@ def test_frames_without_objects_have_random_boxes_only() -> None:
     st.integers(0, 5),
 )
 def test_chosen_objects(boxes: list[tuple[int, bool]], max_crops: int, seed: int) -> None:
-    """Only positive ones, none twice, never more than asked for a frame, as many as there are."""
+    """Only those that show enough, none twice, never more than asked for a frame, as many as there
+    are."""
     rows = torch.tensor([row for row, _ in boxes], dtype=torch.long)
-    overlap = torch.tensor([POSITIVE_IOU if good else POSITIVE_IOU / 2 for _, good in boxes])
+    overlap = torch.tensor([CROP_IOU if good else CROP_IOU - 0.01 for _, good in boxes])
     box = torch.ones(len(boxes), 3)
     given_boxes = TrainingBoxes(rows % 3, box, box, rows, overlap)
     chosen = chosen_objects(given_boxes, max_crops, torch.Generator().manual_seed(seed))
     assert chosen.dtype == torch.long
     kept = given_boxes[chosen]
-    assert kept.positive.all()
+    assert (kept.iou >= CROP_IOU).all()
     assert len(set(kept.rows.tolist())) == len(chosen)
     there = Counter(row % 3 for row in {row for row, good in boxes if good})
     expected = {frame: min(count, max_crops) for frame, count in there.items()}

@@ -31,6 +31,7 @@ from composenet.training.targets import (
     occupancy_in_crops,
 )
 from composenet.training.validation import validate
+from composenet.volume.voxels import FEATURE_NAMES
 from conftest import TINY
 from training_cases import (
     ALONE,
@@ -109,6 +110,30 @@ def test_a_frame_that_is_no_sample_is_remembered_all_the_same(
         np.testing.assert_array_equal(sample.volume.coords, both[place].volume.coords)
         np.testing.assert_array_equal(sample.volume.labels, both[place].volume.labels)
     assert drawn == {0, 1}
+
+
+def test_everything_believes_the_same_wrong_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heights of the voxels, and of the floor under the boxes; what is in the grid stays."""
+    monkeypatch.setattr(data, "walk", lambda *_: [0, 1])
+    config, seen = replace(CONFIG, frames_per_scene=2), {}
+    for wrong_m in (0.0, 0.03):
+        monkeypatch.setattr(data, "WRONG_FLOOR_M", wrong_m)
+        pairs = (samples_of_scene(Stripes(), config, np.random.default_rng(i)) for i in range(20))
+        seen[wrong_m] = [sample for pair in pairs for sample in pair]
+    height, errors = FEATURE_NAMES.index("height"), []
+    for right, wrong in zip(*seen.values(), strict=True):
+        batch, true = collate_samples([wrong]), collate_samples([right])
+        error = float(true.volume.floor_z - batch.volume.floor_z)
+        z = batch.volume.coords[:, 3] * batch.volume.voxel_size_m
+        told = batch.volume.features.clone()
+        torch.testing.assert_close(2 * told[:, height], z - batch.volume.floor_z)
+        told[:, height] -= error / 2
+        torch.testing.assert_close(told, true.volume.features)
+        for name in ("center", "t", "R_grid_object", "voxel_object"):
+            torch.testing.assert_close(getattr(batch, name), getattr(true, name))
+        torch.testing.assert_close(batch.volume.T_camera_grid, true.volume.T_camera_grid)
+        errors.append(error)
+    assert abs(np.mean(errors)) < 0.02 and 0.02 < np.std(errors) < 0.04
 
 
 @pytest.mark.parametrize("longest", [0.01, 1e6])

@@ -20,14 +20,22 @@ keep_compiled_loops()
 if TYPE_CHECKING:
     from composenet.pipeline import ObjectTracker, load_tracker
     from composenet.records import Camera, Frame
-    from composenet.sequences import Odometry, open_sequence
+    from composenet.sequences import Odometry, level_camera, open_sequence
 
-__all__ = ["Camera", "Frame", "ObjectTracker", "Odometry", "load_tracker", "open_sequence"]
+__all__ = [
+    "Camera",
+    "Frame",
+    "ObjectTracker",
+    "Odometry",
+    "level_camera",
+    "load_tracker",
+    "open_sequence",
+]
 
 
 def __getattr__(name: str) -> Any:
     """Import on first use, so that `import composenet` and `--help` stay instant."""
-    if name in ("Odometry", "open_sequence"):
+    if name in ("Odometry", "level_camera", "open_sequence"):
         from composenet import sequences
 
         return getattr(sequences, name)

@@ -22,7 +22,7 @@ from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights
 from composenet.objects import estimate_objects
 from composenet.records import FloatArray, Frame, ObjectEstimate, Track, TrackedObject
-from composenet.sequences.checks import HeightCheck
+from composenet.sequences.checks import WorldCheck
 from composenet.tracking.tracker import Tracker
 from composenet.volume.memory import Memory
 from composenet.volume.voxels import Volume, voxelize
@@ -73,12 +73,12 @@ class ObjectTracker:
         self.network, self.config, self.device = network, config, device
         self._memory = Memory(config.volume.memory_frames)
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
-        self._heights = HeightCheck()
+        self._world = WorldCheck()
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
         for a frame that does not come after the one before. Warns, once, where the frames' world
-        seems not to have its floor at z = 0."""
+        seems not to have z up and its floor at z = 0."""
         result = self.follow(self.look(frame))
         if result.doubt:
             warnings.warn(result.doubt, stacklevel=2)
@@ -89,7 +89,7 @@ class ObjectTracker:
         """The first half: volume, voxel fields, proposals. Raises SequenceError as `follow` does,
         before the frame leaves anything behind."""
         self._tracker.expect(frame.index)
-        doubt = self._heights(frame)
+        doubt = self._world(frame)
         clock = _Clock(self.device)
         with clock("volume"):
             volume = voxelize(frame, self.config.volume, memory=self._memory)

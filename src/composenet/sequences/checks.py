@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from composenet.errors import SequenceError
 from composenet.geometry.camera import back_project, project
 from composenet.geometry.transform import apply_T, make_T
 from composenet.records import Camera, FloatArray, Frame
+from composenet.sequences.leveling import surface_of
 from composenet.sequences.source import Source, SourceFrame
 
 _POSSIBLE_MEDIAN_M = (0.1, 30.0)
@@ -23,7 +25,22 @@ _NEAR_M = 0.1
 _SHARED = 0.3  # of the points of one frame, those that another must see, too
 _ROOM_M = (-0.3, 3.2)  # where the things of a room are, above its floor
 _OUTSIDE = 0.4  # of a frame's points; so many are no noise and no high hall
-_DOUBTFUL_FRAMES = 5
+_DOUBTFUL_FRAMES, _JUDGED_FRAMES = 5, 20  # at least so many, of at most so many last ones
+_LEVEL = float(np.cos(np.radians(15)))
+_MIN_LEVEL_SHARE = 0.03  # of what is seen; less is no plane
+_ELSEWHERE = (
+    ", where nothing is looked for: the world must have z up and its floor at z = 0 "
+    "(composenet.level_camera gives a live camera such a pose; a recording may want "
+    "gravity-direction.txt or another --depth-scale)"
+)
+_BELOW = f"much of what is seen lies below the floor{_ELSEWHERE}"
+_ABOVE = f"much of what is seen lies above 3 m{_ELSEWHERE}"
+_AXES = (
+    "what lies level faces down: the world must have z up, the camera x right, y down, z forward "
+    "(a world that begins as the first camera's axes has not: composenet.level_camera turns it; "
+    "from OpenGL or ARKit take T @ diag(1, -1, -1, 1); a camera that sees ceilings alone is right)"
+)
+_DOUBTS = (_BELOW, _ABOVE, _AXES)
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -190,31 +207,39 @@ def _metres(value: float) -> str:
     return f"{value:,.0f} m" if abs(value) >= 100 else f"{value:.2g} m"
 
 
-class HeightCheck:
+class WorldCheck:
     """Whether frames have the world that the tracker expects: z up, its floor at z = 0. Where most
-    of them do not, nothing is found in them."""
+    of the last ones do not, little is found in them."""
 
     def __init__(self) -> None:
-        self._frames = self._doubtful = 0
+        self._doubts: deque[str] = deque(maxlen=_JUDGED_FRAMES)
         self._said = False
 
     def __call__(self, frame: Frame) -> str | None:
         """What to tell the user after this frame; once at most."""
-        points = back_project(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
-        heights = apply_T(frame.T_world_camera, points[points[:, 2] > 0])[:, 2]
-        if self._said or not len(heights):
+        if self._said or (doubt := _doubt(frame)) is None:
             return None
-        below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
-        self._frames += 1
-        self._doubtful += max(below, above) > _OUTSIDE
-        enough = self._doubtful >= _DOUBTFUL_FRAMES and 2 * self._doubtful > self._frames
-        if not enough:
-            return None
-        self._said = True
-        where = "lies below the floor" if below > above else "lies above 3 m"
-        return (
-            f"in {self._doubtful} of {self._frames} frames much of what is seen {where}, where "
-            "nothing is looked for: the world must have z up and its floor at z = 0 (poses of a "
-            "live camera that begin at the camera want its height added; a recording may want "
-            "gravity-direction.txt or another --depth-scale)"
-        )
+        self._doubts.append(doubt)
+        often = max(_DOUBTFUL_FRAMES - 1, len(self._doubts) / 2)
+        for text in _DOUBTS:
+            if (count := self._doubts.count(text)) > often:
+                self._said = True
+                return f"in {count} of {len(self._doubts)} frames {text}"
+        return None
+
+
+def _doubt(frame: Frame) -> str | None:
+    """What speaks against a frame's world, if anything does; None where it shows nothing."""
+    points = back_project(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
+    heights = apply_T(frame.T_world_camera, points[points[:, 2] > 0])[:, 2]
+    if not len(heights):
+        return None
+    surface = surface_of(frame.depth_m, frame.camera)
+    facing = surface.normals @ frame.T_world_camera[2, :3]
+    up, down = (surface.weights[sign * facing > _LEVEL].sum() for sign in (1, -1))
+    if down > max(2 * up, _MIN_LEVEL_SHARE * surface.weights.sum()):
+        return _AXES
+    below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
+    if max(below, above) <= _OUTSIDE:
+        return ""
+    return _BELOW if below > above else _ABOVE

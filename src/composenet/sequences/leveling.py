@@ -232,6 +232,15 @@ class CameraLeveler:
         return leveler, make_T(R, (0, 0, leveler.height_m))
 
 
+def level_camera(depth_m: FloatArray, camera: Camera) -> NDArray[np.float64] | None:
+    """`T_world_camera` (4, 4) of a depth image, (H, W) metres, in a levelled world of its own: z
+    up, the floor at z = 0, the camera above the origin, +x where it looks. None where the image
+    shows no horizontal plane."""
+    start = CameraLeveler()
+    leveler, T_world_camera = start.level(surface_of(depth_m, camera))
+    return None if leveler is start else T_world_camera
+
+
 def _facing_x(up: FloatArray) -> NDArray[np.float64]:
     """(3, 3) rotation of camera axes to a world where `up` is +z and the camera looks at +x
     (its top does, where it looks straight down or up)."""

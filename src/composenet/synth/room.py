@@ -84,8 +84,9 @@ def make_room(rng: np.random.Generator, size_m: tuple[float, float]) -> Room:
     _add_floor_and_ceiling(builder, rng, size_m, height)
     wall_paint, skirting = _wall_paint(rng), _paint(rng, 0.75, 1.0)
     skirting_m = float(rng.uniform(0.05, 0.14)) if rng.random() < 0.8 else 0.0
+    within = _within(size_m, notch)
     for wall in walls:
-        _add_wall(builder, rng, wall, height, wall_paint, skirting, skirting_m)
+        _add_wall(builder, rng, wall, height, wall_paint, skirting, skirting_m, within)
     shape, origin = _centred(builder)
     return Room(size_m, height, notch, walls, _door_areas(walls), shape, origin)
 
@@ -152,6 +153,17 @@ def _block(low: tuple[float, float, float], high: tuple[float, float, float]) ->
     return m3.Manifold.cube(size).translate(low)
 
 
+def _within(
+    size_m: tuple[float, float], notch: tuple[float, float, float, float, float] | None
+) -> m3.Manifold:
+    """What lies between the walls, and above."""
+    rectangle = _block((0, 0, -1), (*size_m, 5))
+    if notch is None:
+        return rectangle
+    x, y, _, half_x, half_y = notch
+    return rectangle - _block((x - half_x, y - half_y, -2), (x + half_x, y + half_y, 6))
+
+
 def _add_floor_and_ceiling(
     builder: ShapeBuilder, rng: np.random.Generator, size_m: tuple[float, float], height: float
 ) -> None:
@@ -178,8 +190,10 @@ def _add_wall(
     paint: Material,
     skirting: Material,
     skirting_m: float,
+    within: m3.Manifold,
 ) -> None:
-    """The wall in its own frame (x along it, the room at y > 0), turned into place."""
+    """The wall in its own frame (x along it, the room at y > 0), turned into place. within: the
+    room's inside."""
     long, deg = wall.length_m, float(np.degrees(wall.yaw)) - 90.0
 
     def place(part: m3.Manifold) -> m3.Manifold:
@@ -193,7 +207,7 @@ def _add_wall(
         solid, strip = solid - gap, strip - gap
         _add_frame(builder, hole, skirting, place)
         if hole.bottom_m == 0.0:
-            _add_door(builder, rng, hole, place)
+            _add_door(builder, rng, hole, place, within)
     builder.add(place(solid), paint)
     builder.add(place(strip), skirting)
 
@@ -213,15 +227,18 @@ def _add_frame(builder: ShapeBuilder, hole: Opening, material: Material, place) 
         builder.add(place(bar), material)
 
 
-def _add_door(builder: ShapeBuilder, rng: np.random.Generator, hole: Opening, place) -> None:  # type: ignore[no-untyped-def]
-    """A closed leaf, or a corridor wall seen through the open door."""
+def _add_door(  # type: ignore[no-untyped-def]
+    builder: ShapeBuilder, rng: np.random.Generator, hole: Opening, place, within: m3.Manifold
+) -> None:
+    """A closed leaf, or a corridor wall seen through the open door: behind a notch's wall it ends
+    where the room goes on."""
     if rng.random() < 0.6:
         leaf = _block((hole.start_m, -0.07, 0.01), (hole.end_m, -0.03, hole.top_m))
         builder.add(place(leaf), _paint(rng, 0.4, 0.95))
         return
     far = -float(rng.uniform(1.0, 1.8))
     corridor = _block((hole.start_m - 2, far - 0.05, 0), (hole.end_m + 2, far, hole.top_m + 0.4))
-    builder.add(place(corridor), _paint(rng, 0.5, 0.95))
+    builder.add(place(corridor) - within, _paint(rng, 0.5, 0.95))
 
 
 def _door_areas(walls: tuple[Wall, ...]) -> tuple[tuple[float, float, float, float, float], ...]:

@@ -1,7 +1,7 @@
 """Depth cameras: structured light and time of flight, as they really fail.
 
 Structured light measures disparity: its noise grows with depth squared, disparity is
-quantised, and surfaces the projector cannot see (beside foreground edges) have no depth.
+quantised, and surfaces the projector cannot see (behind foreground edges) have no depth.
 Time of flight measures phase: noise grows where little light returns, and pixels on an edge
 mix both surfaces (flying pixels). Both lose grazing, dark, shiny and far surfaces, in patches.
 """
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from composenet.records import Camera, FloatArray
 
 _NATIVE_WIDTH = 640
+_PATCH_PX, _WINDOW_PX = 16, 8
+"""What is lost together, and what a window of the pattern covers."""
 EDGE_STEP = 0.04
 """Neighbouring pixels whose depths differ by a larger share lie on two surfaces."""
 
@@ -36,8 +38,8 @@ class Sensor:
     pixels, as windows that match a pattern overlap. phase_noise: standard deviation at 1 m on
     a white surface, metres (time of flight). lateral_px: how far edges wander. grazing_cosine:
     surfaces steeper than that return nothing. loss: 0..1, how readily dark and shiny surfaces
-    vanish. edge_loss: share of pixels on depth edges without depth. warp: relative depth error
-    that varies smoothly over the image.
+    vanish. edge_loss: share of pixels on depth edges without depth. warp: (4, 5) relative depth
+    error over the image, smooth between these points and the same in every frame.
     """
 
     kind: SensorKind
@@ -50,11 +52,12 @@ class Sensor:
     grazing_cosine: float
     loss: float
     edge_loss: float
-    warp: float
+    warp: NDArray[np.float32]
 
 
 def sample_sensor(rng: np.random.Generator) -> Sensor:
     """A camera of either kind with its own faults."""
+    (shape,) = rng.spawn(1)
     light = rng.random() < 0.65
     kind = SensorKind.STRUCTURED_LIGHT if light else SensorKind.TIME_OF_FLIGHT
     return Sensor(
@@ -68,7 +71,7 @@ def sample_sensor(rng: np.random.Generator) -> Sensor:
         grazing_cosine=float(rng.uniform(0.08, 0.2)),
         loss=float(rng.uniform(0.1, 0.8)),
         edge_loss=float(rng.uniform(0.1, 0.7)),
-        warp=float(rng.uniform(0.0, 0.008)),
+        warp=(rng.uniform(0.0, 0.008) * shape.uniform(-1, 1, (4, 5))).astype(np.float32),
     )
 
 
@@ -90,9 +93,9 @@ def measure(
     spread = (
         float(np.sqrt(12.0)) * sensor.lateral_px * width / _NATIVE_WIDTH
     )  # of even noise with that deviation
-    patches = rng.random((height // 8 + 2, width // 8 + 2), dtype=np.float32)
-    windows = rng.standard_normal((height // 4 + 2, width // 4 + 2), dtype=np.float32)
-    warps = rng.uniform(-sensor.warp, sensor.warp, (4, 5)).astype(np.float32)
+    patch_px, window_px = _PATCH_PX * width / _NATIVE_WIDTH, _WINDOW_PX * width / _NATIVE_WIDTH
+    patches = rng.random(_cells(height, width, patch_px), dtype=np.float32)
+    windows = rng.standard_normal(_cells(height, width, window_px), dtype=np.float32)
     focal = float(camera.K[0, 0])
     native_focal = focal * _NATIVE_WIDTH / width
     light = sensor.kind is SensorKind.STRUCTURED_LIGHT
@@ -108,7 +111,8 @@ def measure(
         chance,
         spread * (right - 0.5),
         spread * (down - 0.5),
-        (patches, windows, warps),
+        (patches, windows, sensor.warp),
+        (patch_px, window_px),
         light,
         sensor.range_m,
         (native_focal * sensor.baseline_m, sensor.disparity_step_px, sensor.disparity_noise_px),
@@ -118,6 +122,11 @@ def measure(
     return as_stored(depth)
 
 
+def _cells(height: int, width: int, cell_px: float) -> tuple[int, int]:
+    """Points of a coarse grid that reaches over the image."""
+    return int(height / cell_px) + 2, int(width / cell_px) + 2
+
+
 def as_stored(depth_m: FloatArray) -> NDArray[np.float32]:
     """Depth as a 16-bit millimetre image gives it back."""
     return (np.rint(depth_m * 1000.0) / 1000.0).astype(np.float32)
@@ -125,21 +134,24 @@ def as_stored(depth_m: FloatArray) -> NDArray[np.float32]:
 
 @numba.njit(cache=True, nogil=True)
 def _projector_sees(depth, focal_baseline):  # type: ignore[no-untyped-def]
-    """Whether the projector, at the baseline to the camera's right, sees each pixel: sweeping
-    a row away from the projector, its columns must keep descending."""
+    """Whether the projector, at the baseline to the camera's right, sees each pixel: of all that
+    lies in one of its columns in a row it reaches the nearest."""
     height, width = depth.shape
     lit = np.ones((height, width), dtype=np.bool_)
+    nearest = np.empty(2 * width + 1, dtype=depth.dtype)
     for v in range(height):
-        nearest = -1e9
+        nearest[:] = np.inf
         for u in range(width):
-            if depth[v, u] <= 0:
-                continue
-            column = u - focal_baseline / depth[v, u]
-            # A pixel further right must also lie further right for the projector.
-            if column < nearest - 0.5:
-                lit[v, u] = False
-            else:
-                nearest = max(nearest, column)
+            z = depth[v, u]
+            if z * width > focal_baseline:  # nearer than any camera measures, or nothing at all
+                k = int(width + u - focal_baseline / z)
+                nearest[k] = min(nearest[k], z)
+                nearest[k + 1] = min(nearest[k + 1], z)
+        for u in range(width):
+            z = depth[v, u]
+            if z * width > focal_baseline:
+                k = int(width + u - focal_baseline / z + 0.5)
+                lit[v, u] = z <= nearest[k] * (1 + EDGE_STEP)
     return lit
 
 
@@ -216,6 +228,7 @@ def _measure(  # type: ignore[no-untyped-def]
     right,
     down,
     grids,
+    cells_px,
     light,
     limits,
     stereo,
@@ -225,9 +238,11 @@ def _measure(  # type: ignore[no-untyped-def]
     height, width = clean.shape
     grazing, loss, edge_loss = losses
     patches, windows, warps = grids
+    patch_px, window_px = cells_px
     out = np.zeros((height, width), dtype=np.float32)
     columns = np.arange(width)
-    eighths, quarters, fifths = columns / 8, columns / 4, columns / width * 3.99
+    in_patches, in_windows = columns / patch_px, columns / window_px
+    fifths = columns / width * 3.99
     patch, warp, window = np.empty(width), np.empty(width), np.empty(width)
     # Of the row's pixels that return light: depth (else 0), cosine and light.
     met, cosines = np.empty(width), np.empty(width, dtype=np.float32)
@@ -235,9 +250,9 @@ def _measure(  # type: ignore[no-untyped-def]
     near_edge = _near_edges(clean)
     own, common = (0.3, 1.3) if light else (0.7, 0.9)
     for v in range(height):
-        _bilinear_row(patches, v / 8, eighths, patch)
+        _bilinear_row(patches, v / patch_px, in_patches, patch)
         _bilinear_row(warps, v / height * 2.99, fifths, warp)
-        _bilinear_row(windows, v / 4, quarters, window)
+        _bilinear_row(windows, v / window_px, in_windows, window)
         for u in range(width):
             met[u] = 0.0
             # The same jitter decides depth and surface, so edges wander as a whole.
@@ -261,8 +276,9 @@ def _measure(  # type: ignore[no-untyped-def]
             step, other = _edge_step(clean, i, j)
             if step > EDGE_STEP and chance[v, u] < edge_loss:
                 met[u] = 0.0
-            elif step > EDGE_STEP and other > 0 and chance[v, u] > 0.5 and not light:
-                met[u] += (other - met[u]) * (chance[v, u] - 0.5) * 2
+            elif step > EDGE_STEP and other > 0 and not light:  # half of them, by half at most
+                share = (chance[v, u] - edge_loss) / (1 - edge_loss) - 0.5
+                met[u] += (other - met[u]) * max(share, 0.0)
         for u in range(width):
             normal[u] = common * window[u] + own * noise[v, u]
         if light:

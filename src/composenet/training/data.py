@@ -24,7 +24,7 @@ from composenet.training.targets import (
     make_sample,
 )
 from composenet.volume.memory import Memory
-from composenet.volume.voxels import remember, voxelize
+from composenet.volume.voxels import FEATURE_NAMES, Volume, remember, voxelize
 
 LONGEST_STEP = 4
 """Frames between one look and the next, at most."""
@@ -39,6 +39,8 @@ LOOKS_ASIDE = 0.1
 was meant to look at: what it sees is mostly bare walls, corners and pieces of furniture."""
 NARROW_FRAMES = 0.3
 """Share of the frames of which a window is seen."""
+WRONG_FLOOR_M = 0.03
+"""Standard deviation of the floor's height that a frame is told: none is known exactly."""
 POOL_FRAMES = 512
 """A worker mixes so many frames, of dozens of scenes, once its pool is full; half a gigabyte."""
 
@@ -79,7 +81,7 @@ def samples_of_scene(
     scene: Scene | DiskScene, config: TrainingConfig, rng: np.random.Generator, augment: bool = True
 ) -> Iterator[Sample]:
     """At most frames_per_scene samples of a walk through the scene, every one with what the frames
-    before it on the walk saw; each with a slightly wrong floor height. Occupancy is empty
+    before it on the walk saw; each believes the floor to be slightly elsewhere. Occupancy is empty
     where the parts in training do not learn from it; validation, not augmented, always has it."""
     solids = not augment or config.parts in ("all", "apart", "objects")
     remembers = config.model.volume.memory_frames > 0
@@ -100,15 +102,22 @@ def samples_of_scene(
         volume = voxelize(frame, config.model.volume, ids, memory)
         if volume is None:
             continue
-        if augment:
-            volume.features[:, 6] += rng.normal(0, 0.03)
         pixels = dict(zip(*np.unique(ids, return_counts=True), strict=True))
         truth = scene.frame_truth(i, rendered.ids, fractions=False)
         seen = [t for t in truth if pixels.get(t.gt_id, 0) >= config.min_visible_pixels]
         truths = [scene.object_truth(t.gt_id, solids) for t in seen]
         pairs = zip(truths, seen, strict=True)
         forget_moved(volume, {now.gt_id: (item, now) for item, now in pairs})
-        yield make_sample(volume, truths, seen, scene.others(i))
+        sample = make_sample(volume, truths, seen, scene.others(i))
+        if augment:
+            raise_grid(volume, rng.normal(0, WRONG_FLOOR_M))
+        yield sample
+
+
+def raise_grid(volume: Volume, metres: float) -> None:
+    """Place a grid higher above the floor than it is, in place. What is in it stays as it was."""
+    volume.T_world_grid[2, 3] += metres
+    volume.features[:, FEATURE_NAMES.index("height")] += metres / 2
 
 
 def turned_aside(scene: Scene, yaw: float) -> Scene:

@@ -211,15 +211,19 @@ def _heading_loss(logits: Tensor, batch: TrainingBatch, rows: Tensor) -> Tensor:
     return -(directed * log_p.logsumexp(dim=1)).sum() / directed.sum().clamp_min(1)
 
 
+WRONG_HEADING_DEG = 9.0
+"""Standard deviation: as many headings are off by more than half a bin as in tracking."""
+
+
 def heading_teacher(batch: TrainingBatch, rows: Tensor, generator: torch.Generator) -> Teacher:
-    """Gives crops of the objects `rows` the valid heading the network finds likeliest, off by up
-    to half a bin as at test time."""
+    """Gives crops of the objects `rows` the valid heading the network finds likeliest, off by
+    WRONG_HEADING_DEG as at test time."""
 
     def teach(logits: Tensor) -> Tensor:
         yaws, valid = valid_headings(batch, rows)
         liked = logits.gather(1, heading_bins(yaws)).masked_fill(~valid, -torch.inf).argmax(dim=1)
-        noise = torch.rand(len(rows), generator=generator).to(logits) - 0.5
-        return yaws.gather(1, liked[:, None])[:, 0] + noise * (2 * np.pi / HEADING_BINS)
+        noise = torch.randn(len(rows), generator=generator).to(logits)
+        return yaws.gather(1, liked[:, None])[:, 0] + np.radians(WRONG_HEADING_DEG) * noise
 
     return teach
 

@@ -14,8 +14,11 @@ from composenet.geometry.aligned_boxes import pairwise_iou
 from composenet.network.batch import CropBatch
 from composenet.training.targets import TrainingBatch
 
-POSITIVE_IOU = 0.25
-"""From this box IoU on, a box is taught the object's box, geometry and pose."""
+POSITIVE_IOU = 0.1
+"""From this box IoU on, a box is taught the object's box: many objects have no better to begin
+with."""
+CROP_IOU = 0.25
+"""From this box IoU on, geometry and pose are taught."""
 JITTERED = 1
 """Jittered copies of every true box, and of every box of what is no furniture."""
 RANDOM = 1
@@ -90,15 +93,16 @@ def training_boxes(
 
 
 def chosen_objects(boxes: TrainingBoxes, max_crops: int, generator: torch.Generator) -> Tensor:
-    """Rows of at most max_crops positive boxes a frame, no object twice; int64."""
+    """Rows of at most max_crops boxes a frame that show an object well enough to complete it, no
+    object twice; int64."""
     kept: list[int] = []
     taken: set[int] = set()
     room: dict[int, int] = {}
     order = torch.randperm(len(boxes.frame), generator=generator)
-    positive, frame, rows = boxes.positive.tolist(), boxes.frame.tolist(), boxes.rows.tolist()
+    shown, frame, rows = (boxes.iou >= CROP_IOU).tolist(), boxes.frame.tolist(), boxes.rows.tolist()
     for i in order.tolist():
         left = room.setdefault(frame[i], max_crops)
-        if positive[i] and rows[i] not in taken and left:
+        if shown[i] and rows[i] not in taken and left:
             kept.append(i)
             taken.add(rows[i])
             room[frame[i]] -= 1
