@@ -21,8 +21,8 @@ import tyro
 
 from composenet.metrics.evaluate import SequenceScores, aggregate, evaluate_sequence
 from composenet.metrics.report import RunInfo
+from composenet.network.object_net import stretched
 from composenet.network.weights import default_weights, weights_id
-from composenet.objects import stretched
 from composenet.pipeline import ObjectTracker, load_tracker
 from composenet.records import ObjectEstimate
 from composenet.synth.scene import Scene, generate_scene

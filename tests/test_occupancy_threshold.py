@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from occupancy_threshold import scores_by_level
 
-from composenet.objects import stretched
+from composenet.network.object_net import stretched
 from composenet.records import CLASS_NAMES, Frame, ObjectEstimate, Similarity
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional as F
 
 from composenet.config import Config
 from composenet.detection import Proposals
@@ -18,7 +17,7 @@ from composenet.geometry.resampling import resampled
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
-from composenet.network.object_net import ObjectFields
+from composenet.network.object_net import ObjectFields, fit_weights, stretched
 from composenet.records import Box, ObjectEstimate, Similarity
 from composenet.volume.voxels import Volume
 
@@ -84,10 +83,9 @@ def _complete(
     crops = objects.crops
     score = proposals.score * probabilities.amax(dim=1).sqrt()
     shown = _shown_occupancy(objects, config)
-    coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
     points = crops.points(config.network.crop_cells // 2)
     correspondences = objects.nocs.flatten(2).transpose(1, 2)
-    fit = fit_similarity(correspondences, points, coarse * (coarse >= 0.5), upright=True)
+    fit = fit_similarity(correspondences, points, fit_weights(shown), upright=True)
     fit = _with_boxes(fit, proposals, volume)
     posed = fit.t + _offset(fit, shown, crops) if config.tracking.use_completion else fit.t
     # linear interpolation would wear away a surface that is one cell thick
@@ -119,13 +117,6 @@ def _shown_occupancy(objects: ObjectFields, config: Config) -> Tensor:
     if not config.tracking.use_completion:
         shown = shown * objects.surface.to(shown.dtype)
     return shown
-
-
-def stretched(probability: Tensor, threshold: float) -> Tensor:
-    """Probabilities 0..1 of any shape, so that the threshold lies at 0.5 and 0 and 1 stay."""
-    low = 0.5 * probability / threshold
-    high = 0.5 + 0.5 * (probability - threshold) / (1 - threshold)
-    return torch.where(probability < threshold, low, high)
 
 
 def _with_boxes(fit: SimilarityFit, proposals: Proposals, volume: Volume) -> SimilarityFit:

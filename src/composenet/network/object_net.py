@@ -12,6 +12,7 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from composenet.network.batch import CropBatch, VolumeBatch
 from composenet.network.box_head import voxels_inside
@@ -76,6 +77,20 @@ def likeliest_heading(logits: Tensor) -> Tensor:
     bend = (2 * at - before - after).clamp_min(1e-6)
     share = ((after - before) / (2 * bend)).clamp(-0.5, 0.5)
     return (top[:, 0] + share) * (2 * math.pi / HEADING_BINS)
+
+
+def stretched(probability: Tensor, threshold: float) -> Tensor:
+    """Probabilities 0..1 of any shape, so that the threshold lies at 0.5 and 0 and 1 stay."""
+    low = 0.5 * probability / threshold
+    high = 0.5 + 0.5 * (probability - threshold) / (1 - threshold)
+    return torch.where(probability < threshold, low, high)
+
+
+def fit_weights(shown: Tensor) -> Tensor:
+    """(M, C, C, C) occupancy, 0.5 being the decision -> (M, (C/2)^3) weights of the correspondences
+    in the fit of the pose: the largest occupancy within, from 0.5 on."""
+    coarse = F.max_pool3d(shown[:, None], 2)[:, 0].flatten(1)
+    return coarse * (coarse >= 0.5)
 
 
 def _conv(c_in: int, c_out: int) -> nn.Sequential:

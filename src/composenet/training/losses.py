@@ -19,6 +19,8 @@ from composenet.network.object_net import (
     HEADING_BINS,
     ObjectFields,
     Teacher,
+    fit_weights,
+    stretched,
 )
 from composenet.training.proposals import TrainingBoxes
 from composenet.training.targets import TrainingBatch, occupancy_in_crops
@@ -129,10 +131,11 @@ OBJECT_LOSSES = (
 
 
 def object_losses(
-    fields: ObjectFields, batch: TrainingBatch, rows: Tensor
+    fields: ObjectFields, batch: TrainingBatch, rows: Tensor, threshold: float = 0.5
 ) -> tuple[dict[str, Tensor], PoseErrors]:
     """Heading, completion, correspondence, rotation, scale, translation and place of crops that
-    show the objects `rows` (M,) of the batch."""
+    show the objects `rows` (M,) of the batch. threshold: probability from which on a cell is
+    occupied. Poses are fitted as in tracking: upright, to the cells that the network fills."""
     cells = fields.occupancy.shape[-1]
     if not len(rows):
         touched = 0 * (fields.occupancy.sum() + fields.nocs.sum() + fields.heading_logits.sum())
@@ -149,8 +152,10 @@ def object_losses(
     solid[:, 0] |= ~solid.any(dim=1)
     points = crops.points(cells // 2)
     predicted = fields.nocs.flatten(2).transpose(1, 2)
-    losses["correspondence"] = _correspondence_loss(predicted, points, solid, batch, rows)
-    fit = fit_similarity(predicted, points, solid.to(predicted.dtype))
+    weights = fit_weights(stretched(logits.detach().sigmoid(), threshold))
+    taught = solid | (weights > 0)
+    losses["correspondence"] = _correspondence_loss(predicted, points, taught, batch, rows)
+    fit = fit_similarity(predicted, points, weights, upright=True)
     squared = rotation_square_error(fit.R, batch, rows)
     seen = fit.observable.to(squared.dtype)
     losses["rotation"] = (seen * squared).mean()
@@ -231,7 +236,7 @@ def heading_teacher(batch: TrainingBatch, rows: Tensor, generator: torch.Generat
 def _correspondence_loss(
     predicted: Tensor, points: Tensor, solid: Tensor, batch: TrainingBatch, rows: Tensor
 ) -> Tensor:
-    """l1 where target geometry is, for the turn of the object that fits best."""
+    """l1 where geometry is or is thought to be, for the turn of the object that fits best."""
     count = solid.sum(dim=1)
     cells = solid.byte().argsort(dim=1, descending=True)[:, : int(count.max())]  # solid ones first
     weight = solid.gather(1, cells) / count[:, None]

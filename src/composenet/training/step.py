@@ -83,7 +83,7 @@ class LossModule(nn.Module):
             corrected.class_logits[chosen].detach().softmax(dim=1),
             heading_teacher(batch, rows, generator),
         )
-        more, errors = object_losses(objects, batch, rows)
+        more, errors = object_losses(objects, batch, rows, config.model.network.occupancy_threshold)
         if not joint:  # correspondences must make sense before a pose is fitted to them
             more = {k: v for k, v in more.items() if k not in POSE_LOSSES}
         return losses | more, errors

@@ -32,7 +32,7 @@ def validate(
     network's channels."""
     network.eval()
     sums: dict[str, list[float]] = defaultdict(list)
-    counts = torch.zeros(5)
+    counts, threshold = torch.zeros(5), config.model.network.occupancy_threshold
     generator = torch.Generator().manual_seed(0)
     with watched(network) as channels:
         for batch in batches:
@@ -47,7 +47,7 @@ def validate(
                 boxes[chosen].crops(config.model.network.crop_margin),
                 at.class_logits[chosen].softmax(dim=1),
             )
-            losses, errors = object_losses(objects, batch, boxes.rows[chosen])
+            losses, errors = object_losses(objects, batch, boxes.rows[chosen], threshold)
             losses |= box_losses(at, batch, boxes)
             for name, value in (detection_losses(fields, batch) | losses).items():
                 sums[name].append(float(value))
