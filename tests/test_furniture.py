@@ -8,8 +8,10 @@ from dataclasses import replace
 import manifold3d as m3
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from composenet.records import CLASS_NAMES, Symmetry
+from composenet.synth import cad
 from composenet.synth.furniture import FURTHER_STYLES, STYLES, make_furniture, styles
 from composenet.synth.occupancy import occupancy
 from composenet.synth.shape import Shape
@@ -102,6 +104,34 @@ def test_declared_symmetry_is_true(name: str, style: str) -> None:
             if degrees in (30, 90):
                 assert abs(shape.extents_m[0] / shape.extents_m[1] - 1) < 0.02
             assert turned_iou(shape, degrees) > 0.9, (seed, degrees)
+
+
+@pytest.mark.parametrize("name", CLASS_NAMES)
+def test_what_looks_alike_from_behind_is_declared_so(name: str) -> None:
+    """Where every corner has another one that half a turn brings to its place."""
+    rng, alike = np.random.default_rng(5), 0
+    for _ in range(250):
+        shape = make_furniture(name, rng, further=True)
+        corners = shape.vertices.astype(np.float64)
+        away, _ = cKDTree(corners).query(corners * [-1, -1, 1])
+        if away.max() < 1e-3:
+            alike += 1
+            assert shape.symmetry is not Symmetry.NONE, shape.style
+    assert alike or name in ("bed", "cabinet", "sink", "sofa", "toilet")
+
+
+@pytest.mark.parametrize("style", ["table", "bathtub", "chair", "bookshelf", "desk", "sofa"])
+def test_symmetry_of_meshes_is_found_by_their_solids(style: str) -> None:
+    """That of generated furniture, which is known. A square table's corners may be round enough
+    to be taken for round."""
+    rng = np.random.default_rng(6)
+    for _ in range(12):
+        shape = make_furniture(style, rng)
+        found = cad.symmetry_of(shape)
+        if shape.symmetry is Symmetry.FOUR:
+            assert found in (Symmetry.FOUR, Symmetry.INF), shape.style
+        elif shape.symmetry is not Symmetry.NONE:
+            assert found is shape.symmetry, shape.style
 
 
 @pytest.mark.parametrize("name", ["bathtub", "sink", "toilet"])

@@ -13,6 +13,7 @@ from composenet.sequences import SequenceOptions, open_sequence
 from composenet.sequences.leveling import (
     CAMERA_UP,
     CameraLeveler,
+    Surface,
     find_floor,
     find_up,
     level_world,
@@ -202,3 +203,39 @@ def test_aims_is_levelled_frame_by_frame():
     for frame in sequence:
         assert frame.depth_m.max() <= 10
         assert 0.4 < frame.T_world_camera[2, 3] < 0.8
+
+
+def scene_with_little_floor(share: float) -> Surface:
+    """A table top of 1 m^2 at 0.75 m, a wall, some of what is under the table, and a floor that
+    is so small a share of all."""
+    rng = np.random.default_rng(0)
+
+    def flat(count: int, z: float) -> tuple[np.ndarray, np.ndarray]:
+        points = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.normal(z, 0.003, count)])
+        return points, np.tile([0.0, 0, 1], (count, 1))
+
+    wall = np.column_stack([rng.uniform(-1, 1, 600), np.ones(600), rng.uniform(0, 2, 600)])
+    parts = [flat(1000, 0.75), (wall, np.tile([0.0, -1, 0], (600, 1))), flat(int(2000 * share), 0)]
+    points, normals = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return Surface(points, normals, np.ones(len(points)))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05, 0.3])
+def test_a_table_top_is_no_floor_where_something_lies_below_it(share: float) -> None:
+    floor = find_floor(scene_with_little_floor(share))
+    assert floor == pytest.approx(0, abs=0.01)
+
+
+def test_without_a_floor_under_it_no_height_is_known() -> None:
+    surface = scene_with_little_floor(0.0)
+    assert find_floor(surface) is None
+    turn = looking(0, 20)
+    seen = Surface((surface.points - [0, -2, 1.4]) @ turn, surface.normals @ turn, surface.weights)
+    leveler, T = CameraLeveler().level(seen)
+    assert leveler.height_m is None and T[2, 3] == 0
+    known = CameraLeveler.from_samples(
+        [seen, surface_of(room_depth(make_T(turn, [-1, 0, 1.4])), CAMERA)]
+    )
+    assert known.height_m == pytest.approx(1.4, abs=0.02)
+    T_level = level_world(surface, np.array([0.0, 0, 1]), np.array([0.0, 0, -1]))
+    assert any("no floor found" in note for note in T_level[1])

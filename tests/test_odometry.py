@@ -214,7 +214,7 @@ def test_track_follows_a_recording_without_poses(
     true = [np.loadtxt(recordings / f"val_00000/pose/{frame.name}.txt") for frame in run.frames]
     for frame, T in zip(run.frames, true, strict=True):
         got = inverse_T(run.frames[0].T_world_camera) @ frame.T_world_camera
-        assert_same(got, inverse_T(true[0]) @ T, metres=0.05, degrees=2)
+        assert_same(got, inverse_T(true[0]) @ T, metres=0.1, degrees=2)
 
 
 def test_without_the_library_one_line_says_what_to_install(

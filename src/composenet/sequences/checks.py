@@ -23,8 +23,8 @@ MAX_SPAN_M = 1000.0
 _USUAL_MISFIT_M = 0.03
 _NEAR_M = 0.1
 _SHARED = 0.3  # of the points of one frame, those that another must see, too
-_ROOM_M = (-0.3, 3.2)  # where the things of a room are, above its floor
-_OUTSIDE = 0.4  # of a frame's points; so many are no noise and no high hall
+_ROOM_M = (-0.15, 3.2)  # where the things of a room are, above its floor
+_BELOW_SHARE, _ABOVE_SHARE = 0.1, 0.4  # of a frame's points; less is a reflection, or a high hall
 _DOUBTFUL_FRAMES, _JUDGED_FRAMES = 5, 20  # at least so many, of at most so many last ones
 _LEVEL = float(np.cos(np.radians(15)))
 _MIN_LEVEL_SHARE = 0.03  # of what is seen; less is no plane
@@ -33,7 +33,7 @@ _ELSEWHERE = (
     "(composenet.level_camera gives a live camera such a pose; a recording may want "
     "gravity-direction.txt or another --depth-scale)"
 )
-_BELOW = f"much of what is seen lies below the floor{_ELSEWHERE}"
+_BELOW = f"part of what is seen lies below the floor{_ELSEWHERE}"
 _ABOVE = f"much of what is seen lies above 3 m{_ELSEWHERE}"
 _AXES = (
     "what lies level faces down: the world must have z up, the camera x right, y down, z forward "
@@ -240,6 +240,6 @@ def _doubt(frame: Frame) -> str | None:
     if down > max(2 * up, _MIN_LEVEL_SHARE * surface.weights.sum()):
         return _AXES
     below, above = (heights < _ROOM_M[0]).mean(), (heights > _ROOM_M[1]).mean()
-    if max(below, above) <= _OUTSIDE:
-        return ""
-    return _BELOW if below > above else _ABOVE
+    if below > _BELOW_SHARE:
+        return _BELOW
+    return _ABOVE if above > _ABOVE_SHARE else ""

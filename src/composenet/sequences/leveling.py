@@ -28,6 +28,7 @@ _REFINE_DEG = (12.0, 8.0, 5.0, 4.0, 4.0, 4.0)  # shrinking windows of the mean s
 _MIN_UP_SHARE = 0.03  # of all normals; fewer are no horizontal plane
 _FLOOR_BIN_M = 0.02
 _FLOOR_MIN_SHARE = 0.15  # of the largest horizontal plane; lower ones are reflections
+_BENEATH_M, _BENEATH_MAX_SHARE = 0.1, 0.05  # of all that is seen; under a floor lies less
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,9 @@ def find_floor(surface: Surface) -> float | None:
 
     The lowest level of a histogram (2 cm bins, smoothed over 6 cm) of points that face up
     within 15 degrees, among its peaks of at least 15 % of the largest; refined by the
-    median within 4 cm. Reflections below the floor fall under the share.
+    median within 4 cm. Reflections below the floor fall under the share. Where over 5 % of all
+    points lie 10 cm or more below that, it is a table top: the floor is then the largest peak with
+    less below it, however small, and None where there is none.
     """
     flat = surface.normals[:, 2] > np.cos(np.radians(15))
     z, weights = surface.points[flat, 2], surface.weights[flat]
@@ -160,9 +163,23 @@ def find_floor(surface: Surface) -> float | None:
     smooth = np.convolve(counts, np.ones(3), mode="same")
     padded = np.pad(smooth, 1)
     peaks = (smooth >= padded[:-2]) & (smooth >= padded[2:])
-    peaks &= smooth >= _FLOOR_MIN_SHARE * smooth.max()
-    level = float(edges[np.argmax(peaks)] + _FLOOR_BIN_M / 2)
+    large = peaks & (smooth >= _FLOOR_MIN_SHARE * smooth.max())
+    at = int(np.argmax(large))
+    beneath = _weight_below(surface, edges[:-1] - _BENEATH_M)
+    open_below = beneath <= _BENEATH_MAX_SHARE * surface.weights.sum()
+    if not open_below[at]:
+        if not (peaks & open_below).any():
+            return None
+        at = int(np.argmax(np.where(peaks & open_below, smooth, 0)))
+    level = float(edges[at] + _FLOOR_BIN_M / 2)
     return float(np.median(z[np.abs(z - level) < 0.04]))
+
+
+def _weight_below(surface: Surface, z: FloatArray) -> NDArray[np.float64]:
+    """Summed weight of the points under each of the heights z."""
+    order = np.argsort(surface.points[:, 2])
+    total = np.concatenate([[0.0], np.cumsum(surface.weights[order])])
+    return total[np.searchsorted(surface.points[order, 2], z)]
 
 
 def level_world(
@@ -199,11 +216,12 @@ class CameraLeveler:
     """Levels frames one by one where there are no poses.
 
     up: (3,), unit, camera axes, and height_m, the camera's above the floor: those of the last
-    frame that showed a horizontal plane, taken over by frames that show none.
+    frame that showed a horizontal plane, and a floor, taken over by frames that show none.
+    height_m is None until then.
     """
 
     up: FloatArray = field(default_factory=CAMERA_UP.copy)
-    height_m: float = 0.0
+    height_m: float | None = None
 
     @staticmethod
     def from_samples(surfaces: list[Surface]) -> CameraLeveler:
@@ -214,14 +232,15 @@ class CameraLeveler:
         if not levelers:
             return start
         up = np.median([leveler.up for leveler in levelers], axis=0)
-        height_m = float(np.median([leveler.height_m for leveler in levelers]))
+        heights_m = [leveler.height_m for leveler in levelers if leveler.height_m is not None]
+        height_m = float(np.median(heights_m)) if heights_m else None
         return CameraLeveler(up / np.linalg.norm(up), height_m)
 
     def level(self, surface: Surface) -> tuple[CameraLeveler, NDArray[np.float64]]:
         """The leveler for the next frame and `T_world_camera` (4, 4) of this one.
 
         surface: this frame's, camera axes. The world has the camera above its origin, at the
-        height of the floor seen, with +x where the camera looks.
+        height of the floor seen, with +x where the camera looks; at its origin until one is.
         """
         up = find_up(surface, CAMERA_UP)
         leveler = self if up is None else replace(self, up=up)
@@ -229,16 +248,15 @@ class CameraLeveler:
         floor = None if up is None else find_floor(surface.moved(make_T(R, np.zeros(3))))
         if floor is not None:
             leveler = replace(leveler, height_m=-floor)
-        return leveler, make_T(R, (0, 0, leveler.height_m))
+        return leveler, make_T(R, (0, 0, leveler.height_m or 0.0))
 
 
 def level_camera(depth_m: FloatArray, camera: Camera) -> NDArray[np.float64] | None:
     """`T_world_camera` (4, 4) of a depth image, (H, W) metres, in a levelled world of its own: z
     up, the floor at z = 0, the camera above the origin, +x where it looks. None where the image
-    shows no horizontal plane."""
-    start = CameraLeveler()
-    leveler, T_world_camera = start.level(surface_of(depth_m, camera))
-    return None if leveler is start else T_world_camera
+    shows no floor."""
+    leveler, T_world_camera = CameraLeveler().level(surface_of(depth_m, camera))
+    return None if leveler.height_m is None else T_world_camera
 
 
 def _facing_x(up: FloatArray) -> NDArray[np.float64]:

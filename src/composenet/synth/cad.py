@@ -14,19 +14,21 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from composenet.errors import DataError
+from composenet.geometry.transform import rotation_z
 from composenet.records import CLASS_NAMES, Symmetry
 from composenet.synth.occupancy import occupancy
 from composenet.synth.shape import Material, Shape
 
 SUFFIXES = (".obj", ".ply", ".off", ".stl", ".glb")
-SYMMETRY_IOU = 0.92
+SYMMETRY_SHARE = 0.98
 THINNEST_M = 0.01
 LONGEST_M = 5.0
-READ_AS = 2
+READ_AS = 3
 """Counts changes of what is made of a mesh."""
-_SYMMETRY_CELLS = 32
+_SYMMETRY_CELLS = 64
 
 
 @lru_cache(maxsize=8)
@@ -109,37 +111,31 @@ def _load_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def symmetry_of(shape: Shape) -> Symmetry:
-    """The highest symmetry about the up axis under which the solid hardly changes."""
-    solid = np.argwhere(occupancy(shape, _SYMMETRY_CELLS))
-    points = ((solid + 0.5) / _SYMMETRY_CELLS - 0.5) * shape.extents_m
-    if _worst_iou(points, shape, [10 * k for k in range(1, 9)]) > SYMMETRY_IOU:
-        return Symmetry.INF
-    if _worst_iou(points, shape, [90]) > SYMMETRY_IOU:
-        return Symmetry.FOUR
-    if _worst_iou(points, shape, [180]) > SYMMETRY_IOU:
-        return Symmetry.TWO
-    return Symmetry.NONE
-
-
-def _worst_iou(points: NDArray[np.float64], shape: Shape, turns_deg: list[int]) -> float:
-    """Lowest IoU of the occupied cells with themselves, turned about z."""
+    """The highest symmetry about the up axis under which the solid stays within a cell of itself,
+    nearly all of it."""
+    solid = occupancy(shape, _SYMMETRY_CELLS)
+    points = ((np.argwhere(solid) + 0.5) / _SYMMETRY_CELLS - 0.5) * shape.extents_m
+    grown = ndimage.binary_dilation(solid)
     cell = shape.extents_m / float(_SYMMETRY_CELLS)
-    whole = np.zeros((_SYMMETRY_CELLS,) * 3, dtype=bool)
-    whole[_cells(points, cell)] = True
-    worst = 1.0
-    for degrees in turns_deg:
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        # Look up where each cell comes from, so that turning leaves no gaps.
-        turned = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        inside = (np.abs(turned) < shape.extents_m / 2).all(axis=1)
-        shared = int(np.count_nonzero(whole[_cells(turned[inside], cell)]))
-        worst = min(worst, shared / max(2 * len(points) - shared, 1))
-    return worst
+
+    def alike(*turns_deg: int) -> bool:
+        return all(_share_within(points, grown, cell, turn) > SYMMETRY_SHARE for turn in turns_deg)
+
+    if alike(*range(10, 90, 10)):
+        return Symmetry.INF
+    if alike(90):
+        return Symmetry.FOUR
+    return Symmetry.TWO if alike(180) else Symmetry.NONE
 
 
-def _cells(points: NDArray[np.float64], cell: NDArray[np.float64]) -> tuple[NDArray[np.intp], ...]:
-    index = np.floor(points / cell + _SYMMETRY_CELLS / 2).astype(np.intp)
-    return tuple(np.clip(index, 0, _SYMMETRY_CELLS - 1).T)
+def _share_within(
+    points: NDArray[np.float64], grown: NDArray[np.bool_], cell: NDArray[np.float64], degrees: int
+) -> float:
+    """Share of the points (N, 3) that lie in filled cells when turned about z by as much."""
+    turned = points @ rotation_z(np.radians(degrees)).T
+    index = np.floor(turned / cell + np.array(grown.shape) / 2).astype(np.intp)
+    inside = ((index >= 0) & (index < grown.shape)).all(axis=1)
+    return np.count_nonzero(grown[tuple(index[inside].T)]) / max(len(points), 1)
 
 
 def _parts(mesh: trimesh.Trimesh) -> NDArray[np.int32]:

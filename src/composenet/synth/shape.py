@@ -8,6 +8,7 @@ from functools import cached_property
 import manifold3d as m3
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from composenet.records import Symmetry
 
@@ -71,7 +72,9 @@ class ShapeBuilder:
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
     def build(self, class_name: str, style: str, symmetry: Symmetry, mount_m: float = 0.0) -> Shape:
-        """All parts together, centred on their common box. Raises ValueError when empty."""
+        """All parts together, centred on their common box. symmetry: that of the recipe; what comes
+        out alike from behind is twofold even if the recipe has none. Raises ValueError when
+        empty."""
         if not self._parts:
             raise ValueError(f"{class_name}/{style}: a shape needs at least one part")
         materials = list(dict.fromkeys(material for _, material in self._parts))
@@ -86,6 +89,8 @@ class ShapeBuilder:
             offset += len(vertices[-1])
         points = np.concatenate(vertices)
         points -= (points.min(axis=0) + points.max(axis=0)) / 2
+        if symmetry is Symmetry.NONE and _alike_from_behind(points):
+            symmetry = Symmetry.TWO
         return Shape(
             class_name=class_name,
             style=style,
@@ -97,3 +102,11 @@ class ShapeBuilder:
             materials=tuple(materials),
             mount_m=mount_m,
         )
+
+
+def _alike_from_behind(points: NDArray[np.float32], within_m: float = 1e-3) -> bool:
+    """Whether half a turn brings every corner (N, 3) to another one's place."""
+    if np.abs(points[:, :2].mean(axis=0)).max() > within_m:  # nearly always
+        return False
+    away, _ = cKDTree(points).query(points * np.array([-1, -1, 1], np.float32))
+    return bool(away.max() < within_m)

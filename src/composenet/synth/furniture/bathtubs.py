@@ -104,13 +104,11 @@ def clawfoot(rng: Rng) -> Shape:
                 (x * 1.25, y, 0.02),
             ]
             builder.add(tube(np.array(claw, dtype=float), 0.025, 6), fittings)
-    tap = chance(rng, 0.7)
-    if tap:
+    if chance(rng, 0.7):
         end, rim = length / 2 + 0.02, lift + height
         foot = (0.0, end, 0.0) if chance(rng, 0.5) else (0.0, end - 0.05, rim)
         add_tap(builder, rng, foot, (0, -1), rim + 0.15 - foot[2], 0.18, fittings)
-    symmetry = Symmetry.NONE if tap or rise else Symmetry.TWO
-    return builder.build("bathtub", "clawfoot", symmetry)
+    return builder.build("bathtub", "clawfoot", Symmetry.NONE)
 
 
 def _sunk(

@@ -50,15 +50,12 @@ def panelled_desk(rng: Rng) -> Shape:
     low = float(rng.uniform(0.03, 0.35))
     for side in (-1, 1):
         builder.add(box_between((-x, side * y - 0.012, low), (x, side * y + 0.012, d.under)), body)
-    closed_behind = chance(rng, 0.8)
-    if closed_behind:
+    if chance(rng, 0.8):
         builder.add(box_between((-x - 0.012, -y, low), (-x + 0.012, y, d.under)), body)
-    drawers = chance(rng, 0.75)
-    if drawers:
+    if chance(rng, 0.75):
         inner = Desk(d.deep - 2 * over, 2 * y, d.height, d.thick)
         pencil_drawers(rng, builder, inner, body)
-    symmetry = Symmetry.NONE if closed_behind or drawers else Symmetry.TWO
-    return builder.build("desk", "panelled", symmetry)
+    return builder.build("desk", "panelled", Symmetry.NONE)
 
 
 def hung_drawers_desk(rng: Rng) -> Shape:
@@ -154,14 +151,12 @@ def post_bookshelf(rng: Rng) -> Shape:
         board = (deep - 0.3 * size, wide - 0.3 * size, thick)
         builder.add(box(board, (0, 0, z + thick / 2)), body)
     low, top = float(levels[0]), high - above
-    closed_behind = chance(rng, 0.4)
-    if closed_behind:
+    if chance(rng, 0.4):
         builder.add(box_between((-x - 0.01, -y, low), (-x + 0.01, y, top)), body)
     if chance(rng, 0.5):
         for side in (-1, 1):
             builder.add(box_between((-x, side * y - 0.01, low), (x, side * y + 0.01, top)), body)
-    symmetry = Symmetry.NONE if closed_behind else Symmetry.TWO
-    return builder.build("bookshelf", "posts", symmetry)
+    return builder.build("bookshelf", "posts", Symmetry.NONE)
 
 
 def cornice_bookcase(rng: Rng) -> Shape:
