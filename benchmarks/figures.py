@@ -109,6 +109,12 @@ def read_scores(
     except (OSError, ValueError, KeyError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{scores}/results.json: no results of {variant} ({reason})") from None
+    known = {name for f in folders[:1] for name in (f.name, f.resolve().parent.name)}
+    if known and run["data"] not in known:
+        raise DataError(
+            f"{scores}: made with the sequences of {run['data']}, not with those of "
+            f"{folders[0].resolve().parent}"
+        )
     by_name = {folder.name: folder for folder in folders}
     kept = {
         by_name[name]: item

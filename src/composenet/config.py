@@ -106,7 +106,7 @@ class TrackingConfig:
     min_confidence: Share = 0.7
     """a track is told of from the frame on in which its confidence reaches this"""
     keep_confidence: Share = 0.7
-    """until it is seen with less confidence than this"""
+    """until it is seen with less confidence than this, or than min_confidence if that is lower"""
     duplicate_iou: Share = 0.25
     """of two proposals of one class whose boxes overlap more than this, the weaker is dropped; one
     in the place of a track counts as stronger"""

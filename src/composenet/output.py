@@ -185,8 +185,10 @@ class OutputWriter:
         if self._begun:
             return
         with writing(self.out_dir):
+            run = self._snapshot()
+            tracks_json(run, self._texts)  # what cannot be written costs no earlier result
             clear(self.out_dir)
-            self._save(self._snapshot())
+            self._save(run)
             configuration.dump(self._config, self.out_dir / CONFIG)
         if self._wants_replay:
             self._replay = open_replay(self.out_dir / REPLAY, self._run.sequence)

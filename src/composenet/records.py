@@ -83,6 +83,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         try:
+            object.__setattr__(self, "width", operator.index(self.width))
+            object.__setattr__(self, "height", operator.index(self.height))
+        except TypeError:
+            raise SequenceError(
+                f"camera of {self.width}x{self.height}: expected whole numbers of pixels"
+            ) from None
+        try:
             K = np.array(self.K, dtype=np.float64)
         except (TypeError, ValueError):
             K = np.zeros(0)
@@ -115,9 +122,9 @@ class Frame:
     index: the frame's number; memory and gates count frames by it, so it grows by about one from
     frame to frame. depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or
     beyond FARTHEST_M is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3)
-    uint8 or None (resized to the depth image where the source's differs). T_world_camera: (4, 4)
-    float64, world levelled (z up). pose_known: False where that world is the camera's own levelled
-    frame, so that places in different frames cannot be compared.
+    uint8, RGB, or None (resized to the depth image where the source's differs). T_world_camera:
+    (4, 4) float64, world levelled (z up). pose_known: False where that world is the camera's own
+    levelled frame, so that places in different frames cannot be compared.
     """
 
     index: int
@@ -139,10 +146,8 @@ class Frame:
             ) from None
         if abs(self.index) > LARGEST_INDEX:
             raise SequenceError(f"{what}: index is no count of frames; give times as timestamp_s")
-        if self.timestamp_s is not None and not np.isfinite(self.timestamp_s):
-            raise SequenceError(
-                f"{what}: timestamp_s is {self.timestamp_s}; expected seconds, or None"
-            )
+        if self.timestamp_s is not None:
+            object.__setattr__(self, "timestamp_s", _usable_time(what, self.timestamp_s))
         object.__setattr__(self, "depth_m", usable_depth(what, self.depth_m, self.camera))
         object.__setattr__(self, "T_world_camera", _usable_pose(what, self.T_world_camera))
         if self.color is not None:
@@ -176,8 +181,20 @@ def usable_depth(what: str, depth_m: FloatArray, camera: Camera) -> FloatArray:
     return np.where(measured, depth, 0).astype(depth.dtype)
 
 
+def _usable_time(what: str, timestamp_s: float) -> float:
+    try:
+        if np.isfinite(seconds := float(timestamp_s)):
+            return seconds
+    except (TypeError, ValueError):
+        pass
+    raise SequenceError(f"{what}: timestamp_s is {timestamp_s}; expected seconds, or None")
+
+
 def _usable_pose(what: str, T_world_camera: FloatArray) -> FloatArray:
-    T = np.asarray(T_world_camera)
+    try:
+        T = np.array(T_world_camera, dtype=np.float64)
+    except (TypeError, ValueError):
+        T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise SequenceError(
             f"{what}: T_world_camera is no (4, 4) matrix of finite numbers; leave "

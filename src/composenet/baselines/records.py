@@ -79,13 +79,15 @@ class Row:
     make: a fresh system for a recording. masks: their source for a sequence folder, and torch's
     name of the device that its network runs on. weights: of these, if it has any; the file
     is part of what made the scores. told: what of the ground truth it is given beside the start of
-    each track, for the table; None if nothing.
+    each track, for the table; None if nothing. starts_at_true_centre: whether each of its tracks is
+    moved so that it begins at its object's true centre, as for systems that see surfaces only.
     """
 
     make: Callable[[Cameras], ComparisonSystem]
     masks: Callable[[Path, str], MaskSource]
     weights: Callable[[], Path] | None = None
     told: str | None = None
+    starts_at_true_centre: bool = True
 
 
 def surface_track(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -101,7 +103,7 @@ def score_methods(folder: Path, names: Sequence[str], *, asked: Asked) -> dict[s
         device = str(select_device(asked.device))
         rows = {name: ROWS[name] if name in ROWS else _own_row(name, asked) for name in names}
         return {
-            name: score_system(folder, row, asked.cameras, device=device, shifted=name in ROWS)
+            name: score_system(folder, row, asked.cameras, device=device)
             for name, row in rows.items()
         }
     from composenet.commands.variants import score_variants
@@ -125,15 +127,35 @@ def _cache(out: Path, name: str, weights: Path | None, asked: Asked) -> ScoreCac
     from composenet.pipeline import select_device
 
     weights, device = weights or Path(os.devnull), str(select_device(asked.device))
-    return ScoreCache(out / "sequences", made_by(name), weights, asked.cameras, device)
+    made = (made_by(name), weights, asked.cameras, device)
+    return ScoreCache(out / "sequences", *made, *(_options(ROWS[name]) if name in ROWS else ()))
 
 
 def made_by(name: str) -> list[str]:
     """The modules that score a comparison system, or our tracker with a camera of its own."""
     if name in ROWS:
-        row = ROWS[name]
-        return [score_system.__module__, row.make.__module__, row.masks.__module__]
+        makers = [_unwrapped(make).__module__ for make in (ROWS[name].make, ROWS[name].masks)]
+        return [score_system.__module__, *makers]
     return [score_system.__module__, OwnCamera.__module__, "composenet.pipeline"]
+
+
+def _unwrapped(make: Callable[..., Any]) -> Callable[..., Any]:
+    """What a `functools.partial` calls."""
+    return _unwrapped(make.func) if isinstance(make, partial) else make
+
+
+def _options(row: Row) -> list[str]:
+    """What of a row its modules do not tell: arguments of partials, code from elsewhere; nothing
+    where it has none of it."""
+    told = [] if row.starts_at_true_centre else ["starts where it says"]
+    for make in (row.make, row.masks):
+        own = _unwrapped(make)
+        while isinstance(make, partial):
+            told.append(repr((make.args, make.keywords)))
+            make = make.func
+        if not own.__module__.startswith("composenet."):
+            told.append(Path(inspect.getfile(own)).read_text())
+    return told
 
 
 def _checked(names: Sequence[str], asked: Asked) -> Asked:
@@ -182,7 +204,12 @@ def _own_row(name: str, asked: Asked) -> Row:
 
     torch.set_num_threads(1)
     tracker = load_tracker(asked.weights, device=asked.device, **VARIANTS[name])
-    return Row(lambda _: OwnCamera(tracker), lambda *_: no_masks, told="nothing")
+    return Row(
+        lambda _: OwnCamera(tracker),
+        lambda *_: no_masks,
+        told="nothing",
+        starts_at_true_centre=False,
+    )
 
 
 def _origin(data: Path, names: Sequence[str], asked: Asked) -> RunInfo:

@@ -53,9 +53,10 @@ def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -
         "with as many processes as the command says and whatever else it had to do.",
         *_lead(outcomes),
         f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
-        "Comparison rows see surfaces only, so the centre of an object is unknown to them. As the "
-        "paper grants, each of their tracks begins at the true centre of its object (its first "
-        "frame is moved there, and the estimated motion carries it on): an advantage. The "
+        "Rows that are told where each track starts see surfaces only, so the centre of an object "
+        "is unknown to them. As the paper grants, each of their tracks begins at the true centre "
+        "of its object (its first frame is moved there, and the estimated motion carries it on): "
+        "an advantage. The "
         "ComPoseNet rows are not helped so and are told no ground truth.",
         "\n".join(_row_line(name) for name in counts),
     ]
@@ -68,8 +69,8 @@ def _row_line(name: str) -> str:
     if name in VARIANTS:
         return f"- {name}: {_OURS[name]} (`composenet.pipeline`)."
     row = ROWS[name]
-    told = [row.told] if row.told else []
-    what = "; ".join([*told, "where each track starts"])
+    start = ["where each track starts"] if row.starts_at_true_centre else []
+    what = "; ".join([*([row.told] if row.told else []), *start]) or "nothing"
     return f"- {name}: told {what} (`{row.make.__module__}`)."
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -11,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from composenet.commands.jobs import aggregated, failure_lines, guarded, run_jobs
+from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     WAYS,
     ScoredSequence,
@@ -50,6 +52,10 @@ def run_eval(
     out.mkdir(parents=True, exist_ok=True)
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
+        cache = ScoreCache(out / "sequences", (), Path(os.devnull))
+        for (name, folder), outcome in outcomes.items():
+            if isinstance(outcome, ScoredSequence):
+                cache.save(folder, name, outcome)
     else:
         from composenet.commands.variants import score_variants, variant_cache
         from composenet.pipeline import load_tracker
@@ -91,14 +97,17 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
     if not run.frames:
         raise DataError(f"{own}: no tracked frame in it; run `composenet track {folder}` first")
     truth = read_truth(folder)
-    if len(run.frames) < len(truth.frames):
+    by_index = {frame.index: frame.objects for frame in run.frames}
+    if missing := set(range(len(truth.frames))) - by_index.keys():
         raise DataError(
-            f"{own}: tells of {len(run.frames)} of the {len(truth.frames)} frames of {name}; track "
-            "all of them, without --stride and --max-frames and to the end"
+            f"{own}: tells of {len(truth.frames) - len(missing)} of the {len(truth.frames)} frames "
+            f"of {name}, not of frame {min(missing)}; track all of them, without --stride and "
+            "--max-frames and to the end"
         )
+    if len(by_index) < len(run.frames):
+        raise DataError(f"{own}: tells of a frame twice; each has one entry in tracks.json")
     first = run.frames[0]
     T_source_camera = np.loadtxt(folder / "pose" / f"{first.name}.txt")
     truth = moved_truth(truth, first.T_world_camera @ np.linalg.inv(T_source_camera))
-    by_index = {frame.index: frame.objects for frame in run.frames}
-    tracked = [by_index.get(i, ()) for i in range(len(truth.frames))]
+    tracked = [by_index[i] for i in range(len(truth.frames))]
     return score_tracks(truth, tracked, canonical=run.canonical)

@@ -12,16 +12,13 @@ from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 
 
-def score_system(
-    folder: Path, row: Row, cameras: Cameras, *, device: str, shifted: bool
-) -> ScoredSequence:
-    """Track one sequence and score the tracks. device: of the network that masks come from.
-    shifted: tracks begin at the true centres."""
+def score_system(folder: Path, row: Row, cameras: Cameras, *, device: str) -> ScoredSequence:
+    """Track one sequence and score the tracks. device: of the network that masks come from."""
     sequence = open_sequence(folder)
     run = run_system(row.make(cameras), row.masks(folder, device), sequence, cameras)
     truth = moved_truth(read_truth(folder), sequence.T_level_source)
     # Frames that could not be read count as seen by nobody.
     tracked = [run.tracked.get(index, ()) for index in range(len(truth.frames))]
-    if shifted:
+    if row.starts_at_true_centre:
         tracked = start_at_true_centres(truth, tracked)
     return score_tracks(truth, tracked, seconds_per_frame=run.seconds)

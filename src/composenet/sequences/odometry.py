@@ -100,7 +100,8 @@ class Odometry:
         turns = [make_T(rotation_z(angle) @ R, t) for angle in np.radians(_TURNS_DEG)]
         best, share = self._T, _LOST_SHARE - _BETTER_SHARE
         poses: list[NDArray[np.float64]] = []
-        for guess in (self._T @ self._motion, self._T, *turns):
+        moves = not np.array_equal(self._motion, np.eye(4))
+        for guess in (*([self._T @ self._motion] if moves else []), self._T, *turns):
             T = self._refined(cloud, guess)
             if not _alike(T, self._T, _MAX_STEP_M, _MAX_TURN_DEG):
                 continue

@@ -43,8 +43,6 @@ DRAWN_BY = {"train": 3, "val": 2, "test": 2}
 """Keys of these numbers: rooms, furniture and walks of val and test are fixed; what training draws
 from has grown since."""
 SPLITS = tuple(GENERATOR_VERSIONS)
-CAMERA_ROOM_M = 0.1
-"""So far a camera stays from everything."""
 LOW_SCALE, HIGH_SCALE = 0.85, 1.2
 ODD_SHARE, ODD_LOW, ODD_HIGH = 0.15, 0.8, 1.4
 """Share of the training furniture that is smaller or larger as a whole, and how much."""
@@ -268,16 +266,16 @@ def _rng(split: str, index: int, stream: int) -> np.random.Generator:
 
 
 def _runs_into(layout: Layout, paths: NDArray[np.float64], eyes: NDArray[np.float64]) -> np.bool_:
-    """Whether the camera, (F, 3) in the room, is ever in the box of an item, or nearly: one that
-    moves does not mind it."""
+    """Whether the camera, (F, 3) in the room, is ever in the box of an item: one that moves does not
+    mind it."""
     away = eyes[:, None, :2] - paths[..., :2]
     c, s = np.cos(paths[..., 2]), np.sin(paths[..., 2])
     local = np.stack([c * away[..., 0] + s * away[..., 1], c * away[..., 1] - s * away[..., 0]], -1)
     half = np.array([item.footprint[3:] for item in layout.items])
     low, high = np.array([item.span_m for item in layout.items]).T
     height = eyes[:, None, 2]
-    over = (height > low - CAMERA_ROOM_M) & (height < high + CAMERA_ROOM_M)
-    return ((np.abs(local) < half + CAMERA_ROOM_M).all(axis=-1) & over).any()
+    over = (height > low) & (height < high)
+    return ((np.abs(local) < half).all(axis=-1) & over).any()
 
 
 def _shape_source(rng: np.random.Generator, options: SceneOptions, training: bool) -> MakeShape:

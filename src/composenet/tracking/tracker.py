@@ -53,7 +53,8 @@ class Tracker:
     ) -> None:
         self._config = config or TrackingConfig()
         self._max_depth_m = max_depth_m
-        self._tracklets: list[Tracklet] = []
+        self._tracklets: list[Tracklet] = []  # but for those that ended and were never told of
+        self._born = 0
         self._last_index: int | None = None
         self._frames: set[int] = set()
         self._turned = False
@@ -99,6 +100,7 @@ class Tracker:
             tracklet.observe(frame.index, proposal)
         for tracklet, view in zip(found.unseen, views, strict=True):
             tracklet.miss(frame.index, view)
+        self._tracklets = [t for t in self._tracklets if t.alive or t.ever_told]
         born = [self._birth(frame.index, p) for p in found.unclaimed if self._may_start(p)]
         return tuple(t.latest for t in alive + born if t.told)
 
@@ -147,7 +149,8 @@ class Tracker:
         return proposal.score >= self._config.min_birth_score
 
     def _birth(self, index: int, proposal: ObjectEstimate) -> Tracklet:
-        tracklet = Tracklet(len(self._tracklets) + 1, index, proposal, self._config)
+        self._born += 1
+        tracklet = Tracklet(self._born, index, proposal, self._config)
         self._tracklets.append(tracklet)
         return tracklet
 

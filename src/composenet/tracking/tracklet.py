@@ -68,8 +68,8 @@ class Tracklet:
     confidence and the score, after an absence no less than at a birth; while unseen, it decays by
     a factor a frame, faster when lost than when occluded; 0 at the end.
 
-    latest: the entry of the newest frame. seen_this_way: whether a frame has shown it since the
-    recording was turned back, if it was.
+    latest: the entry of the newest frame. told, ever_told: of in that frame, of in any.
+    seen_this_way: whether a frame has shown it since the recording was turned back, if it was.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Tracklet:
         self.state = TrackState.TRACKED
         self._votes = np.zeros(len(CLASS_NAMES))
         self._confidence = FIRST_LOOK * estimate.score
-        self.told = False
+        self.told = self.ever_told = False
         self._misses = self._visible_misses = 0
         self.box, self._steadiness = estimate.box, 0.0
         self._history: list[tuple[TrackedObject, bool]] = []  # with whether it was told of
@@ -176,9 +176,9 @@ class Tracklet:
         self._misses = self._visible_misses = 0
         self._confidence_seen = self._confidence
         config = self._config
-        self.told = self._confidence >= (
-            config.keep_confidence if self.told else config.min_confidence
-        )
+        kept_from = min(config.keep_confidence, config.min_confidence)
+        self.told = self._confidence >= (kept_from if self.told else config.min_confidence)
+        self.ever_told |= self.told
         self._record(frame_index, observed=True)
 
     def _steadied(self, estimate: ObjectEstimate) -> Box:

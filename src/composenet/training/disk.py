@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from composenet.errors import DataError
+from composenet.geometry.camera import subsample_camera, subsample_offset
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
+from composenet.sequences.options import SequenceOptions
 from composenet.synth.dataset import read_split, read_truth
 from composenet.synth.scene import SPLITS, RenderedFrame
 
@@ -32,7 +35,8 @@ class DiskScene:
         return len(self.truth.frames)
 
     def render(self, i: int, *, color: bool = False) -> RenderedFrame:
-        """Frame i as it was written (colour is not read: the network does not use it)."""
+        """Frame i as tracking sees it: subsampled where it is wide (colour is not read: the network
+        does not use it)."""
         try:
             depth_m = np.asarray(Image.open(self.folder / "depth" / f"{i}.png")) / np.float32(1000)
             ids = np.asarray(Image.open(self.folder / "instance" / f"{i}.png")).astype(np.uint16)
@@ -41,6 +45,10 @@ class DiskScene:
         except (OSError, ValueError) as error:
             raise DataError(f"{self.folder}, frame {i}: cannot be read ({error})") from None
         camera = Camera(K, depth_m.shape[1], depth_m.shape[0])
+        factor = math.ceil(camera.width / SequenceOptions.max_width)
+        kept = np.s_[subsample_offset(factor) :: factor]
+        depth_m, ids = depth_m[kept, kept], ids[kept, kept]
+        camera = subsample_camera(camera, factor)
         frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera)
         return RenderedFrame(frame, ids, frame.depth_m)
 

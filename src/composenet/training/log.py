@@ -71,7 +71,9 @@ class StepLog:
             return
         line = "  ".join(f"{name} {value:.3g}" for name, value in values.items())
         self.console.print(
-            f"validation at step {progress.step}: {line}", highlight=False, soft_wrap=True
+            f"validation on generated rooms at step {progress.step}: {line}",
+            highlight=False,
+            soft_wrap=True,
         )
         self.file.write(f"validation step={progress.step} {line}\n")
         self.file.flush()

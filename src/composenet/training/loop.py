@@ -267,7 +267,7 @@ def _run(
     start = time.monotonic()
     progress, seconds_before = trainer.progress, trainer.progress.seconds
     validation = fixed_batches(
-        SceneSource("val", source.cad_dir, source.cad_share),
+        SceneSource("val"),  # never what is learned from
         trainer.config,
         options.validation_scenes if trainer.group.rank == 0 else 0,
     )

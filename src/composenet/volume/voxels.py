@@ -296,7 +296,8 @@ def _look(
     T_turned_camera[:3] = R.T @ T_turned_camera[:3]
     eye, size = T_turned_camera[:3, 3], config.voxel_size_m
     K = np.asarray(frame.camera.K, dtype=np.float64)
-    depth_m = smooth_depth(np.ascontiguousarray(frame.depth_m, dtype=np.float32))
+    # a copy: loops are compiled anew for an array that cannot be written to
+    depth_m = smooth_depth(np.array(frame.depth_m, dtype=np.float32, order="C"))
     points, normals, valid = _points_and_normals(
         depth_m, K[0, 0], K[1, 1], K[0, 2], K[1, 2], T_turned_camera[:3, :3], eye,
         config.max_depth_m,
