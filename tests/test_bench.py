@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,8 +21,8 @@ from rich.console import Console
 import composenet
 from composenet import cli, pipeline
 from composenet.baselines import registry
-from composenet.baselines.records import Cameras, MaskSource
-from composenet.commands import bench, jobs
+from composenet.baselines.records import Cameras, MaskSource, Row
+from composenet.commands import bench, bench_page, jobs
 from composenet.commands.score_cache import ScoreCache, kept_sequences, sources_of
 from composenet.commands.scoring import VARIANTS, ScoredSequence
 from composenet.errors import DataError, WeightsError
@@ -133,10 +135,49 @@ def test_the_f2f_gt_row_is_the_same_for_any_number_of_workers_and_after_an_inter
 def test_the_start_shift_helps_a_system_that_sees_surfaces_only(three: Path) -> None:
     row = registry.ROWS["f2f-gt"]
     shifted, seen = (
-        bench.score_system(three / "val_00000", row, Cameras.GIVEN, device="cpu", shifted=shifted)
-        for shifted in (True, False)
+        bench.score_system(
+            three / "val_00000",
+            replace(row, starts_at_true_centre=at_centre),
+            Cameras.GIVEN,
+            device="cpu",
+        )
+        for at_centre in (True, False)
     )
     assert shifted.scores.clear.mota > seen.scores.clear.mota + 0.3
+
+
+def test_a_row_of_ones_own_keeps_its_scores_only_while_it_is_the_same(
+    three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its arguments count, and its code where that is no part of this package."""
+    theirs = registry.ROWS["f2f-gt"]
+    module = tmp_path / "own_tracker.py"
+    module.write_text("def make(_, gate=1):\n    return gate\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    asked, sequence = bench.Asked(Cameras.GIVEN, None, "cpu"), three / "val_00000"
+
+    def key(row: Row) -> bytes:
+        monkeypatch.setattr(bench, "ROWS", {"own": row})
+        return bench._cache(tmp_path / "out", "own", None, asked)._key(sequence, "own")
+
+    make = importlib.import_module("own_tracker").make
+    plain = key(replace(theirs, make=make))
+    assert key(replace(theirs, make=make)) == plain
+    keys = {plain, key(replace(theirs, make=make, starts_at_true_centre=False))}
+    keys |= {key(replace(theirs, make=partial(make, gate=gate))) for gate in (1, 2)}
+    keys.add(key(replace(theirs, make=partial(theirs.make, 3))))
+    assert len(keys) == 5
+    module.write_text("def make(_, gate=2):\n    return gate\n")
+    assert key(replace(theirs, make=make)) != plain
+
+
+def test_the_page_tells_who_is_told_where_tracks_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = registry.ROWS["maskfusion"]
+    monkeypatch.setattr(
+        bench_page, "ROWS", {"a": row, "b": replace(row, starts_at_true_centre=False)}
+    )
+    assert "told where each track starts" in bench_page._row_line("a")
+    assert "told nothing" in bench_page._row_line("b")
 
 
 def test_masks_are_asked_for_on_the_device_that_was_chosen(

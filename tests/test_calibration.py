@@ -159,7 +159,7 @@ def kept(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPath
     for name, items in scored.items():
         for folder, item in zip(sequences, items, strict=True):
             cache.save(folder, name, item)
-    info = RunInfo("recordings", 0, "composenet eval", "tiny")
+    info = RunInfo(recordings.name, 0, "composenet eval", "tiny")
     results = {
         name: aggregate({str(n): i.scores for n, i in enumerate(items)})
         for name, items in scored.items()
@@ -220,6 +220,12 @@ def test_scores_of_two_runs_are_refused(kept: Path, recordings: Path, tmp_path: 
         figures.read_scores(kept, folders, "no-corr")
     with pytest.raises(DataError, match="1 of 2 sequences"):
         figures.read_scores(kept, folders[:1], "full")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for folder in folders:
+        (elsewhere / folder.name).mkdir()
+    with pytest.raises(DataError, match=r"not with those of .*elsewhere"):
+        figures.read_scores(kept, sorted(elsewhere.iterdir()), "full")
     other = tmp_path / "other"
     other.mkdir()
     (other / "sequences").symlink_to(kept / "sequences")

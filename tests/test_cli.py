@@ -19,7 +19,7 @@ import pytest
 import composenet
 from composenet import cli
 from composenet.commands import jobs, variants
-from composenet.commands.score_cache import ScoreCache
+from composenet.commands.score_cache import ScoreCache, kept_sequences
 from composenet.errors import DataError
 from composenet.predictions import read_predictions
 from composenet.synth.dataset import read_truth
@@ -231,6 +231,34 @@ def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Pat
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["variants"]["predictions"]["sequences"] == 1
     assert (tmp_path / "results.md").read_text().startswith("Data ")
+
+
+def test_scores_of_predictions_are_kept_for_comparisons(
+    run, tracked: Path, recordings: Path, tmp_path: Path
+) -> None:
+    data = recordings / "val_00000"
+    assert run("eval", "--data", data, "--out", tmp_path, "--predictions", tracked) == 0
+    ((name, kind, scored),) = kept_sequences(tmp_path / "sequences")
+    assert (name, kind) == ("val_00000", "predictions")
+    mota = numbers(tmp_path)["predictions"]["mota_mean"]
+    assert 100 * scored.scores.clear.mota == pytest.approx(mota)
+
+
+def test_each_frame_is_told_of_once(
+    run, capsys, tracked: Path, recordings: Path, tmp_path: Path
+) -> None:
+    copy, own = tmp_path / "copy", recordings / "val_00000"
+    shutil.copytree(tracked / "val_00000", copy)
+    data = json.loads((copy / "tracks.json").read_text())
+    whole = data["frames"]
+    options = ["eval", "--data", own, "--out", tmp_path / "scores", "--predictions", copy]
+    for frames, said in (
+        ([*whole, whole[0]], "of a frame twice"),
+        ([whole[0], *whole[:-1]], "5 of the 6 frames of val_00000, not of frame 5"),
+    ):
+        (copy / "tracks.json").write_text(json.dumps(data | {"frames": frames}))
+        assert run(*options) == 1
+        assert said in capsys.readouterr().err
 
 
 def test_predictions_are_scored_against_their_own_sequence(

@@ -59,19 +59,28 @@ def test_reading_options(recording, tmp_path, monkeypatch, capsys):
 def test_results_written_read_and_taken_back(recording, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     back, read, write = code_of("docs/output.md")
+    T_source_camera = make_T(np.eye(3), [1, 2, 3])  # a world of the camera's axes
+    (tmp_path / "recording/pose").mkdir()
+    for i in range(2):
+        np.savetxt(f"recording/pose/{i}.txt", T_source_camera)
     exec(write, {})
     seen = {}
     exec(read, seen)
     assert [frame.name for frame in seen["run"].frames] == ["0", "1"]
-    path = tmp_path / "result/tracks.json"
-    T_level_source = make_T(np.eye(3), [1, 2, 3])
-    path.write_text(
-        path.read_text().replace(
-            '"T_level_source": null', f'"T_level_source": {T_level_source.tolist()}'
-        )
-    )
     exec(back, seen)
-    np.testing.assert_array_equal(seen["T_source_level"][:3, 3], [-1, -2, -3])
+    T_level_camera = seen["run"].frames[0].T_world_camera
+    np.testing.assert_allclose(seen["T_source_level"] @ T_level_camera, T_source_camera, atol=1e-9)
+    assert abs(T_level_camera[2, 1]) > 0.9  # down
+    assert any("floor" in line for line in seen["run"].warnings)  # the images show a wall alone
+
+
+def test_a_tracker_of_ones_own_is_scored(recordings, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "val20").symlink_to(recordings)
+    (code,) = code_of("docs/data.md")
+    seen = {}
+    exec(code, seen)
+    assert seen["scores"].objects is not None and len(seen["tracked"]) == 6
 
 
 def test_looking_twice(recording, tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import shutil
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -284,6 +285,18 @@ def test_a_driver_may_fill_its_arrays_anew(tmp_path: Path) -> None:
             writer.finish(tracks())
         pages.append((tmp_path / str(reused) / "report.html").read_text())
     assert pages[0] == pages[1]
+
+
+def test_what_cannot_be_written_costs_no_earlier_result(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    before = sorted(path.name for path in copy.rglob("*"))
+    camera = dataclasses.replace(CAMERA)
+    object.__setattr__(camera, "width", np.int64(camera.width))  # nothing of the kind comes so far
+    with pytest.raises(TypeError):
+        OutputWriter(copy, "other", camera, Config()).add_frame(make_frame(0), (), {})
+    assert sorted(path.name for path in copy.rglob("*")) == before
+    assert read_predictions(copy).tracks
 
 
 def test_a_name_that_is_no_text_is_no_obstacle(tmp_path: Path) -> None:

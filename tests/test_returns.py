@@ -174,7 +174,7 @@ def test_numbers_and_picture(
             cache.save(folder, name, item)
         results[name] = aggregate({f.name: i.scores for f, i in zip(folders, items, strict=True)})
     write_results(
-        scores / "results.json", RunInfo("recordings", 0, "composenet eval", "x"), results
+        scores / "results.json", RunInfo(recordings.name, 0, "composenet eval", "x"), results
     )
     image, numbers = tmp_path / "returns.png", tmp_path / "returns.json"
     benchmark.main(scores, recordings, numbers, image)

@@ -1,5 +1,6 @@
 """Readers: three formats, what each bad input says, and that no corruption crashes them."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -681,6 +682,30 @@ def test_a_frame_is_numbered_by_a_whole_number() -> None:
 
 def make_own_frame(index) -> Frame:
     return Frame(index, np.ones((HEIGHT, WIDTH), np.float32), Camera(K, WIDTH, HEIGHT), np.eye(4))
+
+
+def test_numbers_from_drivers_are_taken_as_they_are() -> None:
+    camera = Camera(K, *np.array([WIDTH, HEIGHT]))
+    assert type(camera.width) is int and json.dumps([camera.width, camera.height])
+    depth = np.ones((HEIGHT, WIDTH), np.float32)
+    frame = Frame(0, depth, camera, np.eye(4).tolist(), timestamp_s=np.float32(1.5))
+    assert type(frame.timestamp_s) is float and frame.T_world_camera.dtype == np.float64
+    with pytest.raises(SequenceError, match="whole numbers of pixels"):
+        Camera(K, WIDTH / 1, HEIGHT)
+
+
+@pytest.mark.parametrize("given", [(12, 5), "noon", np.nan, np.inf])
+def test_times_that_are_none_are_refused(given) -> None:
+    depth, camera = np.ones((HEIGHT, WIDTH), np.float32), Camera(K, WIDTH, HEIGHT)
+    with pytest.raises(SequenceError, match=r"frame 3: timestamp_s is .*; expected seconds"):
+        Frame(3, depth, camera, np.eye(4), timestamp_s=given)
+
+
+@pytest.mark.parametrize("given", [None, "pose", [[1, None], [0, 1]], np.full((4, 4), None)])
+def test_poses_that_are_none_are_refused(given) -> None:
+    depth, camera = np.ones((HEIGHT, WIDTH), np.float32), Camera(K, WIDTH, HEIGHT)
+    with pytest.raises(SequenceError, match="frame 3: T_world_camera is no"):
+        Frame(3, depth, camera, given)
 
 
 @pytest.mark.parametrize(

@@ -360,6 +360,23 @@ def test_a_track_is_told_of_while_it_is_sure(scores, told):
     assert [[e.frame_index for e in t.history] for t in tracker.tracks()] == [told] * bool(told)
 
 
+def test_a_lower_bar_to_begin_with_is_a_lower_bar_to_stay():
+    config = TrackingConfig(min_confidence=0.5, keep_confidence=0.7)
+    _, outputs = run([(None, [thing(3, 0, score=0.6)])] * 5, config)
+    assert all(outputs)
+
+
+def test_what_ended_without_being_told_of_is_forgotten():
+    """But for its number."""
+    weak, sure = thing(3, 0, score=0.55), thing(3, 0, score=0.9)
+    config = TrackingConfig(end_after_frames=2)
+    hidden = [(HIDE, [])] * 3
+    tracker, _ = run([(None, [weak]), *hidden, (None, [sure]), *hidden], config)
+    (kept,) = tracker._tracklets
+    (track,) = tracker.tracks()
+    assert kept.track_id == track.track_id == 2
+
+
 def test_looked_at_twice_everything_is_known_from_the_start():
     """A chair found in the third of five frames keeps its id on the way back and is told of in all
     of them, also in the first two, in which it was too faint to be found."""

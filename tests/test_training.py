@@ -23,7 +23,9 @@ from composenet.config import dump
 from composenet.errors import DataError, WeightsError
 from composenet.files import held
 from composenet.network.weights import load_weights, save_weights
-from composenet.synth.scene import generate_scene
+from composenet.sequences import open_sequence
+from composenet.synth.dataset import write_split
+from composenet.synth.scene import SceneOptions, generate_scene
 from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig
@@ -281,8 +283,6 @@ def test_an_empty_folder_of_data(tmp_path: Path) -> None:
 
 
 def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
-    from composenet.synth.scene import SceneOptions, generate_scene
-
     scene = generate_scene("val", 1, SceneOptions(frames=6, image_size=(160, 120)))
     stored = disk_scene(recordings, 3)  # two of them, over and over
     assert stored.n_frames == 6
@@ -293,6 +293,16 @@ def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
     for a, b in zip(stored.frame_truth(4, ours.ids), scene.frame_truth(4, theirs.ids), strict=True):
         assert (a.gt_id, a.visible_pixels) == (b.gt_id, b.visible_pixels)
     assert Image.open(stored.folder / "depth" / "4.png").size == (160, 120)
+
+
+def test_wide_images_on_disk_are_seen_as_in_tracking(tmp_path: Path) -> None:
+    write_split("val", 1, tmp_path, 0, SceneOptions(frames=2, image_size=(640, 480)))
+    scene, sequence = disk_scene(tmp_path, 0), open_sequence(tmp_path / "val_00000")
+    for i, frame in enumerate(sequence):
+        ours = scene.render(i)
+        np.testing.assert_array_equal(ours.frame.depth_m, frame.depth_m)
+        np.testing.assert_allclose(ours.frame.camera.K, frame.camera.K)
+        assert ours.ids.shape == frame.depth_m.shape == (240, 320)
 
 
 def test_short_sequences_give_what_they_have(recordings: Path) -> None:
