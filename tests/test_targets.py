@@ -207,6 +207,30 @@ def test_the_teacher_gives_the_valid_heading_that_the_network_likes(
         assert 0.07 < beyond < 0.12  # in tracking 9 %
 
 
+def test_poses_are_fitted_to_what_the_network_fills_as_in_tracking() -> None:
+    """Coordinates of other cells do not count in the fit, those of cells that are filled though
+    they should not be do, and are taught."""
+    batch = one_object(yaw=0.3)
+    crops = crops_of(batch, grow=1.5)
+    fields = true_fields(batch, crops, np.eye(3))
+    side = CELLS // 2
+    filled = fields.occupancy[0].unfold(0, 2, 2).unfold(1, 2, 2).unfold(2, 2, 2) > 0
+    empty = ~filled.flatten(3).any(dim=3)
+    assert 0 < int(empty.sum()) < side**3
+    noise = torch.randn(3, side, side, side, generator=torch.Generator().manual_seed(0))
+    nocs = fields.nocs.detach() + 3 * empty * noise
+    losses, errors = object_losses(replace(fields, nocs=nocs), batch, ROW)
+    assert errors.translation_m.item() < 1e-4 and errors.rotation_deg.item() < 0.1
+    everywhere = torch.full_like(fields.occupancy, 2.0)
+    more, worse = object_losses(replace(fields, nocs=nocs, occupancy=everywhere), batch, ROW)
+    assert worse.rotation_deg.item() > 5
+    assert more["correspondence"] > losses["correspondence"] + 0.5
+    weak = torch.where(fields.occupancy > 0, 20.0, -1.0)  # a probability of 0.27
+    _, same = object_losses(replace(fields, nocs=nocs, occupancy=weak), batch, ROW)
+    _, lower = object_losses(replace(fields, nocs=nocs, occupancy=weak), batch, ROW, 0.2)
+    assert same.rotation_deg.item() < 0.1 and lower.rotation_deg.item() > 5
+
+
 def test_gradients_are_finite_and_point_to_the_truth() -> None:
     batch = one_object()
     crops = crops_of(batch)

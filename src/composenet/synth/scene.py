@@ -266,7 +266,7 @@ def _rng(split: str, index: int, stream: int) -> np.random.Generator:
 
 
 def _runs_into(layout: Layout, paths: NDArray[np.float64], eyes: NDArray[np.float64]) -> np.bool_:
-    """Whether the camera, (F, 3) in the room, is ever in the box of an item: one that moves does not
+    """Whether the camera, (F, 3) in the room, is ever in the box of an item: what moves does not
     mind it."""
     away = eyes[:, None, :2] - paths[..., :2]
     c, s = np.cos(paths[..., 2]), np.sin(paths[..., 2])
