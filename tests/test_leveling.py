@@ -206,8 +206,8 @@ def test_aims_is_levelled_frame_by_frame():
 
 
 def scene_with_little_floor(share: float) -> Surface:
-    """A table top of 1 m^2 at 0.75 m, a wall, some of what is under the table, and a floor that
-    is so small a share of all."""
+    """A table top of 1 m^2 at 0.75 m, a wall, some of two seats at 0.45 m, and a floor that is so
+    small a share of the table."""
     rng = np.random.default_rng(0)
 
     def flat(count: int, z: float) -> tuple[np.ndarray, np.ndarray]:
@@ -215,15 +215,43 @@ def scene_with_little_floor(share: float) -> Surface:
         return points, np.tile([0.0, 0, 1], (count, 1))
 
     wall = np.column_stack([rng.uniform(-1, 1, 600), np.ones(600), rng.uniform(0, 2, 600)])
-    parts = [flat(1000, 0.75), (wall, np.tile([0.0, -1, 0], (600, 1))), flat(int(2000 * share), 0)]
+    parts = [flat(1000, 0.75), (wall, np.tile([0.0, -1, 0], (600, 1))), flat(int(1000 * share), 0)]
+    if share:
+        parts.append(flat(60, 0.45))
     points, normals = (np.concatenate(values) for values in zip(*parts, strict=True))
     return Surface(points, normals, np.ones(len(points)))
 
 
-@pytest.mark.parametrize("share", [0.02, 0.05, 0.3])
-def test_a_table_top_is_no_floor_where_something_lies_below_it(share: float) -> None:
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.3])
+def test_neither_table_tops_nor_seats_are_a_floor(share: float) -> None:
+    """Where something lies below them."""
     floor = find_floor(scene_with_little_floor(share))
     assert floor == pytest.approx(0, abs=0.01)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0])
+def test_two_walls_tell_what_is_up_where_nothing_level_is_seen(tilt_deg: float) -> None:
+    rng = np.random.default_rng(0)
+    sides = np.repeat([[1.0, 0, 0], [0, -1, 0]], [700, 300], axis=0)
+    normals = sides + 0.03 * rng.standard_normal((1000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    turn = Rotation.from_euler("xyz", [tilt_deg, tilt_deg / 2, 30], degrees=True).as_matrix()
+    walls = Surface(rng.uniform(-1, 1, (1000, 3)), normals @ turn.T, np.ones(1000))
+    up = find_up(walls, np.array([0.0, 0, 1]))
+    assert up is not None and angle_deg(up, turn[:, 2]) < 0.5
+    one = Surface(walls.points[:700], walls.normals[:700], walls.weights[:700])
+    assert find_up(one, np.array([0.0, 0, 1])) is None
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 4.0, 10.0, 30.0])
+def test_gravity_that_is_not_what_is_seen_is_doubted(off_deg: float) -> None:
+    T = make_T(looking(20, 30), [-1.0, 0.2, 1.4])
+    surface = surface_of(room_depth(T), CAMERA).moved(T)
+    gravity = Rotation.from_euler("x", off_deg, degrees=True).apply([0.0, 0, -1])
+    T_level, notes = level_world(surface, np.array([0.0, 0, 1]), gravity)
+    doubts = [note for note in notes if "gravity-direction.txt" in note]
+    assert [f"{off_deg:.0f} degrees" in note for note in doubts] == [True] * (off_deg > 6)
+    np.testing.assert_allclose(T_level[:3, :3] @ gravity, [0, 0, -1], atol=1e-9)  # it is believed
 
 
 def test_without_a_floor_under_it_no_height_is_known() -> None:

@@ -520,9 +520,12 @@ def test_real_recordings_open(name, intrinsics, count, posed):
     assert frame.color.shape == (240, 320, 3) and 0 < np.median(frame.depth_m) < 5
 
 
+FINE = Camera(K * np.array([[5.0], [5], [1]]), 5 * WIDTH, 5 * HEIGHT)
+
+
 def depth_in_a_room(T: np.ndarray) -> np.ndarray:
     """Of the walls, floor and ceiling around a camera, in millimetres."""
-    rays = pixel_rays(Camera(K, WIDTH, HEIGHT)) @ T[:3, :3].T
+    rays = pixel_rays(FINE) @ T[:3, :3].T
     walls = np.where(rays > 0, [4.0, 3.0, 2.5], [-2.0, -3.0, 0.0])
     return np.round(1000 * ((walls - T[:3, 3]) / rays).min(axis=-1)).astype(np.uint16)
 
@@ -533,17 +536,22 @@ def test_poses_that_do_not_explain_the_depth_are_doubted(tmp_path):
     turns = [Rotation.from_euler("z", 5 * i, degrees=True).as_matrix() for i in range(12)]
     poses = [make_T(turn @ flat, [0.05 * i, 0.05 * i, 1.2]) for i, turn in enumerate(turns)]
 
-    def doubts(name, told):
+    def doubts(name, told, scale=1):
         root = write_plain(tmp_path / name, 12)
+        save_text(root / "camera-intrinsics.txt", FINE.K)
         for i, T in enumerate(poses):
-            save_depth(root / f"depth/frame-{i}.png", depth_in_a_room(T))
+            save_depth(root / f"depth/frame-{i}.png", scale * depth_in_a_room(T))
             save_text(root / f"pose/frame-{i}.txt", told(T))
         return [line for line in open_sequence(root).warnings if "camera to world" in line]
 
+    def half(T):
+        return make_T(T[:3, :3], T[:3, 3] / 2)
+
     assert doubts("right", lambda T: T) == []
-    for wrong in (inverse_T, lambda T: T @ np.diag([1.0, -1, -1, 1])):
+    for wrong in (inverse_T, lambda T: T @ np.diag([1.0, -1, -1, 1]), half):
         (line,) = doubts("wrong", wrong)
         assert "badly" in line and "cm" in line
+    assert len(doubts("double", lambda T: T, scale=2)) == 1
 
 
 def test_other_names_of_the_folders(tmp_path):

@@ -155,7 +155,7 @@ def pose_notes(
     if not errors:
         return []
     moved_m, still_m = np.median(errors, axis=0)
-    if moved_m <= max(_USUAL_MISFIT_M, still_m / 2):
+    if moved_m <= max(_USUAL_MISFIT_M, still_m / 5):
         return []
     return [
         f"by the camera poses depth images fit each other badly (off by {100 * moved_m:.0f} cm; if "

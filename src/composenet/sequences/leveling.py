@@ -29,6 +29,9 @@ _MIN_UP_SHARE = 0.03  # of all normals; fewer are no horizontal plane
 _FLOOR_BIN_M = 0.02
 _FLOOR_MIN_SHARE = 0.15  # of the largest horizontal plane; lower ones are reflections
 _BENEATH_M, _BENEATH_MAX_SHARE = 0.1, 0.05  # of all that is seen; under a floor lies less
+_BENEATH_SMALL_SHARE = 0.005  # and less than that under one that is hardly seen
+_MIN_SIDEWAYS_SHARE, _MIN_SECOND_WALL = 0.3, 0.1  # of all normals; of those of walls
+_GRAVITY_DEG = 6.0
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
     Candidates within 60 degrees of `roughly_up` are scored by the share of normals within
     8 degrees of them plus half the share of those square to them (5 degrees), times the cosine
     to `roughly_up`. Mean shift over the normals, its window shrinking to 4 degrees, refines the
-    best, then a fit to the largest plane. None where under 3 % of the normals face that way.
+    best, then a fit to the largest plane. Where under 3 % of the normals face that way walls alone
+    tell, if there are two that meet (`_square_to_walls`); else None.
     """
     total, length = surface.weights.sum(), np.linalg.norm(roughly_up)
     if not (total > 0 and length > 1e-6):
@@ -110,15 +114,30 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
     score = (cosines > np.cos(np.radians(_PARALLEL_DEG))) @ surface.weights[pick]
     sideways = np.abs(cosines) < np.sin(np.radians(_SIDEWAYS_DEG))
     score = (score + 0.5 * (sideways @ surface.weights[pick])) * (candidates @ roughly_up)
-    up = candidates[np.argmax(score)]
+    start = up = candidates[np.argmax(score)]
     for window_deg in _REFINE_DEG:
         near = surface.normals @ up > np.cos(np.radians(window_deg))
         share = surface.weights[near].sum() / total
         if share < _MIN_UP_SHARE:
-            return None
+            return _square_to_walls(surface, start)
         up = surface.weights[near] @ surface.normals[near]
         up = up / np.linalg.norm(up)
     return _plane_refined(surface, up)
+
+
+def _square_to_walls(surface: Surface, up: FloatArray) -> NDArray[np.float64] | None:
+    """The direction near `up` that is square to most normals. None where it is to under 30 % of
+    them, or they all face one way and back."""
+    for window_deg in (10.0, 8.0, 5.0, 5.0, 5.0):
+        side = np.abs(surface.normals @ up) < np.sin(np.radians(window_deg))
+        weights, normals = surface.weights[side], surface.normals[side]
+        if weights.sum() < _MIN_SIDEWAYS_SHARE * surface.weights.sum():
+            return None
+        variances, vectors = np.linalg.eigh((normals.T * weights) @ normals / weights.sum())
+        if variances[1] < _MIN_SECOND_WALL:
+            return None
+        up = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
+    return np.asarray(up, dtype=np.float64)
 
 
 def _plane_refined(surface: Surface, up: FloatArray) -> NDArray[np.float64]:
@@ -153,7 +172,7 @@ def find_floor(surface: Surface) -> float | None:
     within 15 degrees, among its peaks of at least 15 % of the largest; refined by the
     median within 4 cm. Reflections below the floor fall under the share. Where over 5 % of all
     points lie 10 cm or more below that, it is a table top: the floor is then the largest peak with
-    less below it, however small, and None where there is none.
+    next to nothing below it, however small, and None where there is none.
     """
     flat = surface.normals[:, 2] > np.cos(np.radians(15))
     z, weights = surface.points[flat, 2], surface.weights[flat]
@@ -166,11 +185,11 @@ def find_floor(surface: Surface) -> float | None:
     large = peaks & (smooth >= _FLOOR_MIN_SHARE * smooth.max())
     at = int(np.argmax(large))
     beneath = _weight_below(surface, edges[:-1] - _BENEATH_M)
-    open_below = beneath <= _BENEATH_MAX_SHARE * surface.weights.sum()
-    if not open_below[at]:
-        if not (peaks & open_below).any():
+    if beneath[at] > _BENEATH_MAX_SHARE * surface.weights.sum():
+        peaks &= (smooth > 0) & (beneath <= _BENEATH_SMALL_SHARE * surface.weights.sum())
+        if not peaks.any():
             return None
-        at = int(np.argmax(np.where(peaks & open_below, smooth, 0)))
+        at = int(np.argmax(np.where(peaks, smooth, 0)))
     level = float(edges[at] + _FLOOR_BIN_M / 2)
     return float(np.median(z[np.abs(z - level) < 0.04]))
 
@@ -193,8 +212,9 @@ def level_world(
     turned by the smallest rotation that brings up to +z (so one that is z-up already is
     hardly changed) and shifted along z only, so that the floor is z = 0.
     """
-    notes = []
-    up = -gravity if gravity is not None else find_up(surface, camera_up)
+    seen = find_up(surface, camera_up if gravity is None else -gravity)
+    notes = [] if gravity is None else _gravity_notes(gravity, seen)
+    up = seen if gravity is None else -gravity
     if up is None:
         axes = np.concatenate([np.eye(3), -np.eye(3)])
         axis = axes[np.argmax(axes @ camera_up)]
@@ -209,6 +229,19 @@ def level_world(
         floor = float(np.percentile(lowest, 2)) if len(lowest) else 0.0
         notes.append("no floor found: z = 0 is the lowest surface seen")
     return make_T(R, (0, 0, -floor)), notes
+
+
+def _gravity_notes(gravity: FloatArray, up: FloatArray | None) -> list[str]:
+    """A note where the up that is seen is not that of gravity."""
+    if up is None:
+        return []
+    off_deg = float(np.degrees(np.arccos(np.clip(-gravity @ up, -1, 1))))
+    if off_deg <= _GRAVITY_DEG:
+        return []
+    return [
+        f"what is seen lies level {off_deg:.0f} degrees from gravity-direction.txt: is that the "
+        "direction in which things fall, in the world of the poses?"
+    ]
 
 
 @dataclass(frozen=True)

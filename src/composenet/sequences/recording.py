@@ -31,7 +31,7 @@ from composenet.sequences.source import Source, SourceFrame, counted, make_K
 
 _FORMATS = (tum, scannet, folder)
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
-_SOON = 3  # frames, of which the second must fit the first by the poses
+_SOON = (3, 12)  # so many frames on, by its length, depth must still fit by the poses
 Watch = Callable[[Sequence[SourceFrame]], Iterable[SourceFrame]]
 
 
@@ -59,12 +59,13 @@ class RecordedSequence:
         self.own_poses = source.has_poses
         self.has_poses = self.own_poses or options.odometry
         self._source, self._options = source, options
-        self._soon = max(1, _SOON // stride)
         self._skipped: dict[int, tuple[str, str]] = {}
         self._colorless: dict[int, tuple[str, str]] = {}
         self._depth_scale = options.depth_scale or source.depth_scale
         usable = (frame for frame in source.frames[::stride] if self._usable(frame))
         self._frames = list(islice(usable, max_frames))
+        soon = max(_SOON[0], min(_SOON[1], stride * len(self._frames) // 4))
+        self._soon = max(1, soon // stride)
         full = self._common_camera()
         self._factor = math.ceil(full.width / options.max_width)
         self.camera = subsample_camera(full, self._factor)
