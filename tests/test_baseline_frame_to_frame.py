@@ -123,6 +123,18 @@ def test_small_weak_and_empty_masks() -> None:
     assert FrameToFrame()(blank, seen.masks) == ()
 
 
+def test_a_sliver_of_a_mask_claims_nothing() -> None:
+    scenes = [look(i, [cabinet(2.5, 0.0)]) for i in range(3)]
+    rows, columns = np.nonzero(scenes[1].masks.masks[0])
+    for pixels, seen in ((len(rows), True), (int(0.0008 * scenes[1].masks.masks[0].size), False)):
+        mask = np.zeros_like(scenes[1].masks.masks)
+        mask[0, rows[:pixels], columns[:pixels]] = True
+        track, whole = FrameToFrame(), scenes[1]
+        track(scenes[0].frame, scenes[0].masks)
+        (entry,) = track(whole.frame, replace(whole.masks, masks=mask))
+        assert entry.observed == seen and entry.track_id == 0
+
+
 def test_a_mask_without_depth_goes_on_as_it_last_moved() -> None:
     truth = [cabinet(2.6, -0.4 + 0.1 * i, yaw=0.5) for i in range(6)]
     scenes = [look(i, [box]) for i, box in enumerate(truth)]

@@ -290,9 +290,10 @@ def test_icp_does_nothing_where_nothing_agrees() -> None:
     assert pairs == 0 and (T == REST).all()
 
 
-def test_a_turn_of_the_camera_is_seen_by_brightness_alone() -> None:
+@pytest.mark.parametrize("turn_deg", [1, 3, 6])
+def test_a_turn_of_the_camera_is_seen_by_brightness_alone(turn_deg: float) -> None:
     axis = np.array([0.3, 1.0, 0.1]) / np.linalg.norm([0.3, 1.0, 0.1])
-    T = increment(np.concatenate([np.zeros(3), 0.05 * axis]))
+    T = increment(np.concatenate([np.zeros(3), np.radians(turn_deg) * axis]))
     before, now = plane((0, 0, -1)), plane((0, 0, -1), T=T)
     found = turned(before, now)
     assert angle_between_deg(found[:3, :3], T[:3, :3]) < 0.5 and (found[:3, 3] == 0).all()

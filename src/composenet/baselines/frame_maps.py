@@ -73,7 +73,7 @@ def pyramid(maps: Maps, levels: int) -> list[Maps]:
             Maps(
                 np.ascontiguousarray(maps.points[::2, ::2]),
                 np.ascontiguousarray(maps.normals[::2, ::2]),
-                _halved(maps.intensity),
+                halved(maps.intensity),
                 subsample_camera(maps.camera, 2),
             )
         )
@@ -139,7 +139,7 @@ def _gathered(others, centres, narrowness, reach, near, total, weights):
 
 
 @numba.njit(cache=True, nogil=True)
-def _halved(image):
+def halved(image):
     """(ceil(H / 2), ceil(W / 2)) every other pixel of the image smoothed by 1-2-1 both ways."""
     height, width = image.shape
     out = np.empty(((height + 1) // 2, (width + 1) // 2), image.dtype)

@@ -8,6 +8,7 @@ gives no parameters; ours:
 - point-to-plane ICP of clouds thinned to 3 cm, begun from constant velocity and from rest (in
   that order for what moved by over 3 cm a frame) and from the shift of the visible points; the
   best fit wins, and the earlier one where two fit alike;
+- masks of under 77 pixels (of 320x240) are left out, as by MID-Fusion;
 - correspondences are rejected where they are not mutual and beyond 30, then 10, then 5 cm;
 - an alignment that under 30 % of the points agree with, or that turns by over 45 degrees, has
   failed, and the object goes on as it last moved;
@@ -29,6 +30,8 @@ from composenet.geometry.transform import apply_T, make_T
 from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, TrackState
 from composenet.tracking.assignment import assign
 
+MIN_MASK_SHARE = 0.001
+"""of the image; a smaller mask shows too little to say where its object is"""
 MASK_IOU_GATE = 0.2
 """a warped and a new mask that overlap less are two objects"""
 MOVING_M = 0.03
@@ -59,6 +62,8 @@ class FrameToFrame:
         measured = frame.depth_m > 0
         matched = self._matched(frame, masks, T_world_camera)
         for index, mask in enumerate(masks.masks):
+            if mask.mean() < MIN_MASK_SHARE:
+                continue
             points = points_world[mask & measured]
             track = matched.get(index)
             if track is None and masks.scores[index] >= MIN_BIRTH_SCORE:

@@ -11,7 +11,8 @@ give each mask to the model it overlaps if the classes agree, else start a model
 As in the original, tracking comes before segmentation and looks at the whole image; pairs of
 points farther apart than 10 cm or 20 degrees are dropped, so an object that moves farther in a
 frame, or has little but the floor left in view, is lost; the frame that starts a model weighs a
-hundred times as much as a later one; a mask whose pieces run over into the background is lost.
+hundred times as much as a later one; a mask whose pieces run over into the background is lost, and
+one before a larger model of another class is ignored, for measured depth is not compared.
 
 Deviations, all in its favour where they matter to the scores:
 

@@ -9,7 +9,9 @@ whether its rendering agrees with the frame as it rests in the world, and track 
 ICP and brightness (the camera again, without them); let masks grow by the pieces of the image that
 they nearly cover, give each to the model whose rendering it overlaps, else start a model; fuse.
 
-As in the original, tracking comes before masks are looked at; points farther apart than 10 cm or
+As in the original, masks are compared with the renderings of the models among themselves, never
+with measured depth, so that a mask in front of a large model may be taken for it;
+tracking comes before masks are looked at; points farther apart than 10 cm or
 37 degrees are no pairs, so an object that moves farther in a frame is lost; a mask that overlaps a
 model a little is neither its nor starts another; a model that is in view but has no mask is told
 that its pixels are half, or less, its own, fades, and then is shown no more; nothing is deleted
@@ -32,6 +34,8 @@ Deviations, all in its favour where they matter to the scores:
   original, else that of its voxels;
 - a point that is of no pair counts in the cost by which a step is kept or taken back, as much as
   one just within reach (the cost is of pairs alone, so that losing them seems a gain);
+- where a left-over mask covers a model without a mask that model fades at once, and its object is
+  sooner begun anew, at its true centre (it keeps a half or a tenth there);
 - what moved out of its model's surface is left out of its fusion by distance, not by brightness;
 - the camera's first guess, where it is not given, is turned by brightness alone first;
 - a mask of 77 pixels starts a model, as in the demonstrations with small objects (the default is

@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from composenet.baselines.frame_maps import Maps, pyramid
+from composenet.baselines.frame_maps import Maps, halved, pyramid
+from composenet.geometry.camera import subsample_camera
 from composenet.geometry.transform import make_T
-from composenet.records import FloatArray
+from composenet.records import Camera, FloatArray
 
 LEVELS = 3
+TURNING_LEVELS = 3
+"""of a camera's first guess, beginning with the coarsest of those"""
 ITERATIONS = (10, 5, 4)
 """finest level first"""
 MAX_DISTANCE_M = 0.1
@@ -40,16 +43,16 @@ def align(model: Maps, frame: list[Maps]) -> tuple[NDArray[np.float64], int]:
     T = np.eye(4)
     count = 0
     views = pyramid(model, LEVELS)
-    for halved in reversed(range(LEVELS)):
-        view, level = views[halved], frame[halved]
+    for step_down in reversed(range(LEVELS)):
+        view, level = views[step_down], frame[step_down]
         points, normals, light = view.chosen(view.valid)
         K = level.camera.K
-        for _ in range(ITERATIONS[halved]):
+        for _ in range(ITERATIONS[step_down]):
             A, b, count = _normal_equations(
                 points, normals, light, level.points, level.normals, level.intensity,
                 T, K[0, 0], K[1, 1], K[0, 2], K[1, 2],
             )  # fmt: skip
-            if count < max(10, MIN_PAIRS // 4**halved):
+            if count < max(10, MIN_PAIRS // 4**step_down):
                 break
             step = np.linalg.lstsq(A, -b, rcond=1e-9)[0]
             T = increment(step) @ T
@@ -60,17 +63,31 @@ def align(model: Maps, frame: list[Maps]) -> tuple[NDArray[np.float64], int]:
 
 def turned(before: Maps, now: Maps) -> NDArray[np.float64]:
     """The rotation (4, 4) of a camera's axes that best explains two small images by brightness
-    alone, as if all were far away: a first guess. Identity where there is no colour."""
-    K, T = now.camera.K, np.eye(4)
-    v, u = np.mgrid[1 : now.camera.height - 1 : 1, 1 : now.camera.width - 1 : 1]
+    alone, as if all were far away, coarse to fine: a first guess. Identity where there is no
+    colour."""
+    levels = [(before.intensity, now.intensity, now.camera)]
+    while len(levels) < TURNING_LEVELS:
+        light, image, camera = levels[-1]
+        levels.append((halved(light), halved(image), subsample_camera(camera, 2)))
+    T = np.eye(4)
+    for light, image, camera in reversed(levels):
+        T = _turned(light, image, camera, T)
+    return T
+
+
+def _turned(
+    light: FloatArray, image: FloatArray, camera: Camera, T_guess: FloatArray
+) -> NDArray[np.float64]:
+    """From a guess, with images (H, W) of one size."""
+    K, T = camera.K, np.asarray(T_guess, dtype=np.float64)
+    v, u = np.mgrid[1 : camera.height - 1, 1 : camera.width - 1]
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
-    light = before.intensity[1:-1, 1:-1]
+    light = light[1:-1, 1:-1]
     kept = np.isfinite(light)
-    least = np.inf
-    best = T
+    best, least = T, np.inf
     for _ in range(10):
         A, b, misfit = _turning_equations(
-            rays[kept], light[kept], now.intensity, T, K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+            rays[kept], light[kept], image, T, K[0, 0], K[1, 1], K[0, 2], K[1, 2]
         )
         if misfit >= least:
             break
