@@ -301,6 +301,21 @@ def test_a_turn_of_the_camera_is_seen_by_brightness_alone(turn_deg: float) -> No
     assert (turned(before, dark) == REST).all()
 
 
+def test_fine_patterns_do_not_hide_a_larger_turn() -> None:
+    """They repeat within the turn; what is coarse does not."""
+
+    def seen(T_now_before: np.ndarray) -> Maps:
+        maps = plane((0, 0, -1))
+        rays = pixel_rays(maps.camera) @ T_now_before[:3, :3]  # in the first camera's axes
+        x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+        coarse, fine = np.sin(4 * x + 1) + np.sin(5 * y), np.sin(100 * x) + np.sin(90 * y)
+        return replace(maps, intensity=(0.5 + 0.12 * coarse + 0.12 * fine).astype(np.float32))
+
+    T = increment(np.array([0, 0, 0, 0.01, np.radians(6), 0]))
+    found = turned(seen(np.eye(4)), seen(T))
+    assert angle_between_deg(found[:3, :3], T[:3, :3]) < 1
+
+
 # Segmentation
 
 
