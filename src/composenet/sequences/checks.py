@@ -27,7 +27,7 @@ _ROOM_M = (-0.15, 3.2)  # where the things of a room are, above its floor
 _BELOW_SHARE, _ABOVE_SHARE = 0.1, 0.4  # of a frame's points; less is a reflection, or a high hall
 _DOUBTFUL_FRAMES, _JUDGED_FRAMES = 5, 20  # at least so many, of at most so many last ones
 _LEVEL = float(np.cos(np.radians(15)))
-_MIN_LEVEL_SHARE = 0.03  # of what is seen; less is no plane
+_MIN_LEVEL_SHARE = 0.001  # of what is seen; by wrong axes little lies level
 _ELSEWHERE = (
     ", where nothing is looked for: the world must have z up and its floor at z = 0 "
     "(composenet.level_camera gives a live camera such a pose; a recording may want "
