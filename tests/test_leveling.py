@@ -254,6 +254,17 @@ def test_gravity_that_is_not_what_is_seen_is_doubted(off_deg: float) -> None:
     np.testing.assert_allclose(T_level[:3, :3] @ gravity, [0, 0, -1], atol=1e-9)  # it is believed
 
 
+@pytest.mark.parametrize("share", [0.03, 0.08, 0.12])
+def test_reflections_just_below_a_floor_leave_it_the_floor(share: float) -> None:
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-1, 1, (1000, 2)), rng.normal(0, 0.003, 1000)])
+    count = int(1000 * share)
+    below = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(-0.28, -0.12, count)])
+    points = np.concatenate([floor, below])
+    surface = Surface(points, np.tile([0.0, 0, 1], (len(points), 1)), np.ones(len(points)))
+    assert find_floor(surface) == pytest.approx(0, abs=0.01)
+
+
 def test_without_a_floor_under_it_no_height_is_known() -> None:
     surface = scene_with_little_floor(0.0)
     assert find_floor(surface) is None

@@ -23,8 +23,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,11 @@ class Row:
     weights: Callable[[], Path] | None = None
     told: str | None = None
     starts_at_true_centre: bool = True
+
+
+def unwrapped(make: Callable[..., Any]) -> Callable[..., Any]:
+    """What a `functools.partial` calls."""
+    return unwrapped(make.func) if isinstance(make, partial) else make
 
 
 def surface_track(

@@ -5,16 +5,15 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from composenet.baselines.ours import OwnCamera, no_masks
-from composenet.baselines.records import Cameras, Row
+from composenet.baselines.records import Cameras, Row, unwrapped
 from composenet.baselines.registry import ROWS
 from composenet.commands.bench_page import write_page
 from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines, run_jobs
@@ -134,27 +133,23 @@ def _cache(out: Path, name: str, weights: Path | None, asked: Asked) -> ScoreCac
 def made_by(name: str) -> list[str]:
     """The modules that score a comparison system, or our tracker with a camera of its own."""
     if name in ROWS:
-        makers = [_unwrapped(make).__module__ for make in (ROWS[name].make, ROWS[name].masks)]
+        makers = [unwrapped(make).__module__ for make in (ROWS[name].make, ROWS[name].masks)]
         return [score_system.__module__, *makers]
     return [score_system.__module__, OwnCamera.__module__, "composenet.pipeline"]
 
 
-def _unwrapped(make: Callable[..., Any]) -> Callable[..., Any]:
-    """What a `functools.partial` calls."""
-    return _unwrapped(make.func) if isinstance(make, partial) else make
-
-
 def _options(row: Row) -> list[str]:
-    """What of a row its modules do not tell: arguments of partials, code from elsewhere; nothing
-    where it has none of it."""
+    """What of a row its modules do not tell: arguments of partials, by their `repr`, and the file
+    of a callable from elsewhere; nothing where it has none of it."""
     told = [] if row.starts_at_true_centre else ["starts where it says"]
     for make in (row.make, row.masks):
-        own = _unwrapped(make)
+        own = unwrapped(make)
         while isinstance(make, partial):
             told.append(repr((make.args, make.keywords)))
             make = make.func
         if not own.__module__.startswith("composenet."):
-            told.append(Path(inspect.getfile(own)).read_text())
+            plain = inspect.isroutine(own) or inspect.isclass(own)
+            told.append(Path(inspect.getfile(own if plain else type(own))).read_text())
     return told
 
 

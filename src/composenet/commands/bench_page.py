@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from composenet.baselines.records import Cameras
+from composenet.baselines.records import Cameras, unwrapped
 from composenet.baselines.registry import ROWS
 from composenet.commands.failures import LEGEND, PICTURES, picture, worst_frames
 from composenet.commands.jobs import Job, Outcome, aggregated, failure_lines
@@ -71,7 +71,7 @@ def _row_line(name: str) -> str:
     row = ROWS[name]
     start = ["where each track starts"] if row.starts_at_true_centre else []
     what = "; ".join([*([row.told] if row.told else []), *start]) or "nothing"
-    return f"- {name}: told {what} (`{row.make.__module__}`)."
+    return f"- {name}: told {what} (`{unwrapped(row.make).__module__}`)."
 
 
 def _sequence_counts(outcomes: Mapping[Job, Outcome]) -> dict[str, tuple[int, int]]:

@@ -26,6 +26,7 @@ _SHARED = 0.3  # of the points of one frame, those that another must see, too
 _ROOM_M = (-0.15, 3.2)  # where the things of a room are, above its floor
 _BELOW_SHARE, _ABOVE_SHARE = 0.1, 0.4  # of a frame's points; less is a reflection, or a high hall
 _DOUBTFUL_FRAMES, _JUDGED_FRAMES = 5, 20  # at least so many, of at most so many last ones
+_JUDGED_LATER = 4  # then every so many frames
 _LEVEL = float(np.cos(np.radians(15)))
 _MIN_LEVEL_SHARE = 0.001  # of what is seen; by wrong axes little lies level
 _ELSEWHERE = (
@@ -40,7 +41,6 @@ _AXES = (
     "(a world that begins as the first camera's axes has not: composenet.level_camera turns it; "
     "from OpenGL or ARKit take T @ diag(1, -1, -1, 1); a camera that sees ceilings alone is right)"
 )
-_DOUBTS = (_BELOW, _ABOVE, _AXES)
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -141,8 +141,8 @@ def check_steps(path: Path, frames: Sequence[SourceFrame]) -> list[str]:
 def pose_notes(
     pairs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], camera: Camera
 ) -> list[str]:
-    """A note when the depth of frames fits later ones little better by the poses than without any
-    motion.
+    """A note when the depth of frames does not fit later ones five times better by the poses than
+    without any motion, and not to 3 cm.
 
     pairs: depth of a frame and of a later one, (H, W) metres, and T_later_earlier, (4, 4).
     """
@@ -213,19 +213,24 @@ class WorldCheck:
 
     def __init__(self) -> None:
         self._doubts: deque[str] = deque(maxlen=_JUDGED_FRAMES)
-        self._said = False
+        self._frames, self._said = 0, False
 
     def __call__(self, frame: Frame) -> str | None:
-        """What to tell the user after this frame; once at most."""
-        if self._said or (doubt := _doubt(frame)) is None:
+        """What to tell the user after this frame; once at most. Of a long recording not every frame
+        is judged."""
+        self._frames += 1
+        full = len(self._doubts) == _JUDGED_FRAMES
+        if self._said or (full and self._frames % _JUDGED_LATER):
+            return None
+        if (doubt := _doubt(frame)) is None:
             return None
         self._doubts.append(doubt)
-        often = max(_DOUBTFUL_FRAMES - 1, len(self._doubts) / 2)
-        for text in _DOUBTS:
-            if (count := self._doubts.count(text)) > often:
-                self._said = True
-                return f"in {count} of {len(self._doubts)} frames {text}"
-        return None
+        doubtful = [text for text in self._doubts if text]
+        if len(doubtful) <= max(_DOUBTFUL_FRAMES - 1, len(self._doubts) / 2):
+            return None
+        self._said = True
+        often = max(doubtful, key=doubtful.count)
+        return f"in {doubtful.count(often)} of {len(self._doubts)} frames {often}"
 
 
 def _doubt(frame: Frame) -> str | None:

@@ -29,7 +29,7 @@ _MIN_UP_SHARE = 0.03  # of all normals; fewer are no horizontal plane
 _FLOOR_BIN_M = 0.02
 _FLOOR_MIN_SHARE = 0.15  # of the largest horizontal plane; lower ones are reflections
 _BENEATH_M, _BENEATH_MAX_SHARE = 0.1, 0.05  # of all that is seen; under a floor lies less
-_BENEATH_SMALL_SHARE = 0.005  # and less than that under one that is hardly seen
+_SEAT_M, _BENEATH_SMALL_SHARE = 0.38, 0.005  # a floor that is hardly seen lies that far down
 _MIN_SIDEWAYS_SHARE, _MIN_SECOND_WALL = 0.3, 0.1  # of all normals; of those of walls
 _GRAVITY_DEG = 6.0
 
@@ -95,7 +95,7 @@ def _cross(image: FloatArray) -> NDArray[np.float64]:
 
 
 def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | None:
-    """Unit up direction (3,) in the surface's frame, or None where nothing faces up.
+    """Unit up direction (3,) in the surface's frame, or None where nothing tells.
 
     Candidates within 60 degrees of `roughly_up` are scored by the share of normals within
     8 degrees of them plus half the share of those square to them (5 degrees), times the cosine
@@ -166,13 +166,14 @@ def _plane_refined(surface: Surface, up: FloatArray) -> NDArray[np.float64]:
 
 
 def find_floor(surface: Surface) -> float | None:
-    """Height z, metres, of the floor of a levelled surface, or None where nothing faces up.
+    """Height z, metres, of the floor of a levelled surface, or None where none is seen.
 
     The lowest level of a histogram (2 cm bins, smoothed over 6 cm) of points that face up
     within 15 degrees, among its peaks of at least 15 % of the largest; refined by the
-    median within 4 cm. Reflections below the floor fall under the share. Where over 5 % of all
-    points lie 10 cm or more below that, it is a table top: the floor is then the largest peak with
-    next to nothing below it, however small, and None where there is none.
+    median within 4 cm. Reflections below the floor fall under the share. Where over 5 % of all that
+    is seen lies 10 cm or more below that, it may be a table top or a seat: the floor is then the
+    largest peak 38 cm or more below it with next to nothing below that, however small. Without one
+    it is no floor either, if over 0.5 % lies so far below it.
     """
     flat = surface.normals[:, 2] > np.cos(np.radians(15))
     z, weights = surface.points[flat, 2], surface.weights[flat]
@@ -186,10 +187,13 @@ def find_floor(surface: Surface) -> float | None:
     at = int(np.argmax(large))
     beneath = _weight_below(surface, edges[:-1] - _BENEATH_M)
     if beneath[at] > _BENEATH_MAX_SHARE * surface.weights.sum():
-        peaks &= (smooth > 0) & (beneath <= _BENEATH_SMALL_SHARE * surface.weights.sum())
-        if not peaks.any():
+        least = _BENEATH_SMALL_SHARE * surface.weights.sum()
+        far_down = edges[:-1] <= edges[at] - _SEAT_M
+        peaks &= far_down & (smooth > 0) & (beneath <= least)
+        if peaks.any():
+            at = int(np.argmax(np.where(peaks, smooth, 0)))
+        elif _weight_below(surface, edges[at : at + 1] - _SEAT_M)[0] > least:
             return None
-        at = int(np.argmax(np.where(peaks, smooth, 0)))
     level = float(edges[at] + _FLOOR_BIN_M / 2)
     return float(np.median(z[np.abs(z - level) < 0.04]))
 
@@ -249,8 +253,8 @@ class CameraLeveler:
     """Levels frames one by one where there are no poses.
 
     up: (3,), unit, camera axes, and height_m, the camera's above the floor: those of the last
-    frame that showed a horizontal plane, and a floor, taken over by frames that show none.
-    height_m is None until then.
+    frame that showed what is up, and a floor, taken over by frames that do not. height_m is None
+    until then.
     """
 
     up: FloatArray = field(default_factory=CAMERA_UP.copy)

@@ -115,7 +115,7 @@ def symmetry_of(shape: Shape) -> Symmetry:
     nearly all of it."""
     solid = occupancy(shape, _SYMMETRY_CELLS)
     points = ((np.argwhere(solid) + 0.5) / _SYMMETRY_CELLS - 0.5) * shape.extents_m
-    grown = ndimage.binary_dilation(solid)
+    grown = ndimage.binary_dilation(np.pad(solid, 1))
     cell = shape.extents_m / float(_SYMMETRY_CELLS)
 
     def alike(*turns_deg: int) -> bool:

@@ -62,7 +62,8 @@ class Tracklet:
     that it was seen (`observe`) or that it was not (`miss`).
 
     It is told of from the frame on in which its confidence reaches config.min_confidence, until
-    it is seen with less than config.keep_confidence; then once more when it reaches the former.
+    it is seen with less than config.keep_confidence (or the former, if that is lower); then once
+    more when it reaches the former.
 
     Confidence: at birth nine tenths of the score; when seen again, the mean of the last
     confidence and the score, after an absence no less than at a birth; while unseen, it decays by
