@@ -10,7 +10,7 @@ from PIL import Image
 
 from composenet.baselines.records import InstanceMasks
 from composenet.errors import DataError
-from composenet.geometry.camera import subsample_offset
+from composenet.geometry.camera import subsampled
 from composenet.records import Frame
 from composenet.synth.dataset import read_truth
 
@@ -42,8 +42,7 @@ class TrueMasks:
         except OSError as error:
             raise DataError(f"{path}: no readable instance image ({error})") from None
         factor = max(1, round(ids.shape[1] / frame.camera.width))
-        offset = subsample_offset(factor)
-        ids = ids[offset::factor, offset::factor]
+        ids = subsampled(ids, factor)
         if ids.shape != frame.depth_m.shape:
             raise DataError(
                 f"{path}: {ids.shape[1]}x{ids.shape[0]} ids for depth of "

@@ -5,6 +5,8 @@ The centre of the first pixel is (0, 0); camera axes are x right, y down, z forw
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,8 +59,14 @@ def subsample_offset(factor: int) -> int:
     return (factor - 1) // 2
 
 
+def subsampled(image: NDArray[Any], factor: int) -> NDArray[Any]:
+    """The pixels of an image (H, W) that `subsample_camera` keeps; a view of it."""
+    offset = subsample_offset(factor)
+    return image[offset::factor, offset::factor]
+
+
 def subsample_camera(camera: Camera, factor: int) -> Camera:
-    """The camera of `image[o::factor, o::factor]` with `o = subsample_offset(factor)`.
+    """The camera of an image `subsampled` by the factor.
 
     Exact for every factor: kept pixels see the same rays as before. For odd factors it equals
     `resize_camera` to a multiple; for even ones the kept pixel is not the block's centre, which

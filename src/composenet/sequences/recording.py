@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
-from composenet.geometry.camera import subsample_camera, subsample_offset
+from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, Frame
 from composenet.sequences import checks, folder, scannet, tum
@@ -258,8 +258,7 @@ class RecordedSequence:
             raise SequenceError(f"depth {error}".replace("depth depth", "depth")) from None
         if raw.shape != (self._full.height, self._full.width):
             raise SequenceError("depth image changed its size while it was read")
-        o = subsample_offset(self._factor)
-        depth_m = raw[o :: self._factor, o :: self._factor].astype(np.float32)
+        depth_m = subsampled(raw, self._factor).astype(np.float32)
         depth_m /= self._depth_scale
         depth_m[depth_m > (self._options.max_depth_m if far_m is None else far_m)] = 0
         if not depth_m.any():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from composenet.errors import DataError
-from composenet.geometry.camera import subsample_camera, subsample_offset
+from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
 from composenet.sequences.options import SequenceOptions
 from composenet.synth.dataset import read_split, read_truth
@@ -46,8 +46,7 @@ class DiskScene:
             raise DataError(f"{self.folder}, frame {i}: cannot be read ({error})") from None
         camera = Camera(K, depth_m.shape[1], depth_m.shape[0])
         factor = math.ceil(camera.width / SequenceOptions.max_width)
-        kept = np.s_[subsample_offset(factor) :: factor]
-        depth_m, ids = depth_m[kept, kept], ids[kept, kept]
+        depth_m, ids = subsampled(depth_m, factor), subsampled(ids, factor)
         camera = subsample_camera(camera, factor)
         frame = Frame(i, depth_m.astype(np.float32), camera, T_world_camera)
         return RenderedFrame(frame, ids, frame.depth_m)
