@@ -88,16 +88,12 @@ def write_cases(data: Path, results: Path, file: Path) -> int:
 def _real_cases(data: Path, results: Path) -> Iterator[Case]:
     """What the rows of a benchmark tracked: each sequence, all classes and each class alone."""
     from composenet.commands.score_cache import kept_sequences
-    from composenet.commands.scoring import moved_truth, sequence_folders
+    from composenet.commands.scoring import sequence_folders, truth_of
     from composenet.metrics.evaluate import tracking_frames
     from composenet.sequences import open_sequence
-    from composenet.synth.dataset import read_truth
 
     folders = {folder.name: folder for folder in sequence_folders(data)}
-    truths = {
-        name: moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
-        for name, folder in folders.items()
-    }
+    truths = {name: truth_of(folder, open_sequence(folder)) for name, folder in folders.items()}
     for name, method, scored in kept_sequences(results / "sequences"):
         truth = truths[name]
         yield _case(f"{method} {name}", tracking_frames(truth, scored.tracked))

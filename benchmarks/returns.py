@@ -25,7 +25,7 @@ from gains import captioned, pasted
 from PIL import Image
 
 from composenet.commands.failures import frame_with_boxes
-from composenet.commands.scoring import ScoredSequence, moved_truth, sequence_folders
+from composenet.commands.scoring import ScoredSequence, sequence_folders, truth_of
 from composenet.geometry.box import OrientedBox
 from composenet.metrics.evaluate import posed_truths, tracking_frames
 from composenet.metrics.records import MATCH_GATE_M
@@ -97,7 +97,7 @@ def counted_objects(folder: Path) -> int:
 
 def returns_of(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:
     """The returns of one sequence."""
-    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
+    truth = truth_of(folder, open_sequence(folder))
     return returns(truth, item.tracked)
 
 

@@ -24,7 +24,7 @@ import tyro
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from composenet.commands.scoring import moved_truth, sequence_folders
+from composenet.commands.scoring import sequence_folders, truth_of
 from composenet.metrics.completion import VOXEL_M, voxelize_truth
 from composenet.metrics.evaluate import posed_truths
 from composenet.metrics.objects import PosedTruth
@@ -35,7 +35,6 @@ from composenet.pipeline import load_tracker
 from composenet.process import worker_pool
 from composenet.records import CLASS_NAMES, TrackedObject
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
 from composenet.view.meshes import FAINT, SURE, canonical_mesh, place
 
 NEAR_M = 0.05
@@ -105,7 +104,7 @@ def shapes_of(folder: Path, weights: Path) -> ShapesOf:
     tracker, sequence = load_tracker(weights), open_sequence(folder)
     for frame in sequence:
         tracker(frame)
-    truths = posed_truths(moved_truth(read_truth(folder), sequence.T_level_source))
+    truths = posed_truths(truth_of(folder, sequence))
     result = ShapesOf({name: [] for name in LEVELS}, [])
     for track in tracker.tracks():
         seen = [

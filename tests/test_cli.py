@@ -18,9 +18,10 @@ import pytest
 
 import composenet
 from composenet import cli
-from composenet.commands import jobs, variants
+from composenet.commands import jobs, scoring, variants
 from composenet.commands.score_cache import ScoreCache, kept_sequences
 from composenet.errors import DataError
+from composenet.metrics.tracklets import TrackletCompletion
 from composenet.predictions import read_predictions
 from composenet.synth.dataset import read_truth
 
@@ -233,6 +234,79 @@ def test_eval_of_predictions(run, tracked: Path, recordings: Path, tmp_path: Pat
     assert (tmp_path / "results.md").read_text().startswith("Data ")
 
 
+def test_the_reconstructions_of_predictions_are_scored(
+    run, tracked: Path, recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = [TrackletCompletion(1, 1, 5, 0.25), TrackletCompletion(2, 3, 1, 0.75)]
+    monkeypatch.setattr(scoring, "tracklet_completions", lambda *_: given)
+    data = recordings / "val_00000"
+    assert run("eval", "--data", data, "--out", tmp_path, "--predictions", tracked) == 0
+    assert numbers(tmp_path)["predictions"]["track_iou"] == 50
+    assert "track IoU %" in (tmp_path / "results.md").read_text()
+
+
+def test_a_result_of_another_sequence_of_the_same_name_is_not_scored(
+    run, capsys, tracked: Path, recordings: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "other" / "val_00000"
+    shutil.copytree(recordings / "val_00000", own)
+    path = own / "pose" / "3.txt"
+    elsewhere = np.loadtxt(path)
+    elsewhere[0, 3] += 0.05
+    np.savetxt(path, elsewhere, fmt="%.17g")
+    scores = ("--out", tmp_path / "scores", "--predictions", tracked)
+    assert run("eval", "--data", own, *scores) == 1
+    assert "its camera is elsewhere than that of" in (said := capsys.readouterr().err)
+    assert "in frame 3" in said
+
+
+def test_a_result_without_poses_is_not_scored(
+    run, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    """Each of its frames has a world of its own."""
+    own, blind, out = recordings / "val_00000", tmp_path / "val_00000", tmp_path / "result"
+    shutil.copytree(own, blind)
+    shutil.rmtree(blind / "pose")
+    assert run("track", blind, "--out", out, "--weights", tiny_weights) == 0
+    assert run("eval", "--data", own, "--out", tmp_path / "s", "--predictions", out) == 1
+    assert "tracked without poses" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["eval", "bench"])
+def test_a_frame_that_is_gone_does_not_shift_the_truth(
+    run, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path, command: str
+) -> None:
+    data = tmp_path / "val_00000"
+    shutil.copytree(recordings / "val_00000", data)
+    for name in ("depth/2.png", "color/2.jpg"):
+        (data / name).unlink()
+    rows = ("--methods", "f2f-gt") if command == "bench" else ()
+    options = ("--weights", tiny_weights, "--out", tmp_path / "out")
+    assert run(command, "--data", data, *options, *rows) == 1
+    assert "5 frames, but annotations.json tells of 6" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("there", "said"),
+    [
+        ('{"mine": 1}', "a results.json that is not ours"),
+        ("{", "a results.json that is not ours"),
+        ('{"variants": {}, "data": "test"}', "the scores of 'test'"),
+    ],
+)
+@pytest.mark.parametrize("command", ["eval", "bench"])
+def test_scores_of_other_data_are_not_replaced(
+    run, capsys, recordings: Path, tiny_weights: Path, tmp_path: Path,
+    there: str, said: str, command: str,
+) -> None:  # fmt: skip
+    (tmp_path / "results.json").write_text(there)
+    rows = ("--methods", "f2f-gt") if command == "bench" else ()
+    options = ("--weights", tiny_weights, "--out", tmp_path)
+    assert run(command, "--data", recordings / "val_00000", *options, *rows) == 2
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "results.json").read_text() == there
+
+
 def test_scores_of_predictions_are_kept_for_comparisons(
     run, tracked: Path, recordings: Path, tmp_path: Path
 ) -> None:
@@ -275,12 +349,14 @@ def test_predictions_are_scored_against_their_own_sequence(
     for predictions in (tracked, result):
         assert run("eval", "--data", ".", *options, predictions) == 0
     capsys.readouterr()
+    options[1] = tmp_path / "others"
     assert run("eval", "--data", other, *options, result) == 1
     said = capsys.readouterr().err
     assert "'val_00000'" in said and "'val_00001'" in said and said.count("\n") == 1
     # Of a folder of sequences, the one that it belongs to is scored.
+    options[1] = tmp_path / "both"
     assert run("eval", "--data", recordings, *options, result) == 1
-    assert numbers(tmp_path / "scores")["predictions"]["sequences"] == 1
+    assert numbers(tmp_path / "both")["predictions"]["sequences"] == 1
 
 
 def test_predictions_of_some_frames_are_not_scored_as_all(

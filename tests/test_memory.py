@@ -125,6 +125,19 @@ def test_what_hides_is_remembered_and_what_went_away_is_not() -> None:
     assert not (np.abs(world(moved, slice(None))[:, 0] - front) < 0.1).any()
 
 
+@pytest.mark.parametrize("seen_px", [0, 5])
+def test_what_went_away_is_forgotten_though_all_in_view_is_too_far(seen_px: int) -> None:
+    """Down a long hall: nothing near enough to be looked at, but the space before it is empty."""
+    memory, later = Memory(CONFIG.memory_frames), frame(1)
+    far = np.full_like(later.depth_m, CONFIG.max_depth_m + 2)
+    far[:seen_px, :seen_px] = CONFIG.max_depth_m - 1
+    voxelize(frame(0, [BOX]), CONFIG, memory=memory)
+    assert on_box(memory.surface.points, BOX).any()
+    assert voxelize(replace(later, depth_m=far), CONFIG, memory=memory) is None
+    assert not on_box(memory.surface.points, BOX, -0.02).any()
+    assert memory.free_space(1).cells.any()
+
+
 def test_the_same_view_again_adds_nothing() -> None:
     once, twice = seen_after(frame(0, [BOX])), seen_after(*(frame(i, [BOX]) for i in range(4)))
     np.testing.assert_array_equal(once.coords, twice.coords[: twice.n_seen])

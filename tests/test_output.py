@@ -374,6 +374,23 @@ def test_broken_folders(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "canonical.npz").write_bytes((folder / "canonical.npz").read_bytes()[:300])
     with pytest.raises(DataError, match=r"canonical\.npz"):
         read_predictions(tmp_path)
+    whole = bytearray((folder / "canonical.npz").read_bytes())
+    for start in range(60, 300, 12):
+        damaged = bytearray(whole)
+        damaged[start : start + 6] = b"damage"
+        (tmp_path / "canonical.npz").write_bytes(damaged)
+        with pytest.raises(DataError, match=r"canonical\.npz"):
+            read_predictions(tmp_path)
+    with (tmp_path / "canonical.npz").open("wb") as file:
+        np.save(file, np.zeros(3))  # one array, not several
+    with pytest.raises(DataError, match=r"canonical\.npz"):
+        read_predictions(tmp_path)
+    flat = json.loads(text)
+    flat["meta"]["camera"]["K"][0][0] = 0
+    (tmp_path / "tracks.json").write_text(json.dumps(flat))
+    with pytest.raises(DataError, match=r"tracks\.json"):
+        read_predictions(tmp_path)
+    (tmp_path / "tracks.json").write_text(text)
     np.savez(tmp_path / "canonical.npz", track_1=np.zeros((2, 2, 2)))
     with pytest.raises(DataError, match=r"track 1 has shape \(2, 2, 2\)"):
         read_predictions(tmp_path)

@@ -30,10 +30,11 @@ def a_result(folder: Path) -> Path:
 def test_an_earlier_result_may_be_replaced(tmp_path: Path) -> None:
     folder = a_result(tmp_path / "result")
     (folder / "notes.txt").write_text("mine")
+    (folder / "meshes" / "track_1_cleaned.ply").write_text("mine")
     claim(folder)
     clear(folder)
     left = sorted(p.name for p in folder.rglob("*") if p.is_file())
-    assert left == ["notes.txt", "tracks.json"]
+    assert left == ["notes.txt", "track_1_cleaned.ply", "tracks.json"]
     claim(folder)  # were it killed here
 
 

@@ -17,6 +17,7 @@ from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
 from composenet.records import Camera, Frame
 from composenet.sequences import SequenceOptions, open_sequence
+from composenet.sequences.source import in_order
 from composenet.sequences.tum import nearest
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "sequences"
@@ -746,3 +747,7 @@ def test_intrinsics_may_be_lists_and_are_the_cameras_own() -> None:
     np.testing.assert_array_equal(camera.K, K)
     np.testing.assert_array_equal(listed.K, K)
     assert listed.K.dtype == np.float64
+
+
+def test_names_with_digits_that_are_no_numbers_have_an_order() -> None:
+    assert in_order(["b10", "b²", "b2"]) == ["b2", "b10", "b²"]

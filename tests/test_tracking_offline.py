@@ -190,6 +190,18 @@ def test_a_track_looked_at_backwards_reads_forwards(looked_at_backwards, told):
     assert all(entry.box is boxes[entry.frame_index] for entry in read.history)
 
 
+def test_looking_back_an_object_stays_where_the_last_frame_in_time_shows_it():
+    """The first frames looked at on the way back have it where the way there left it."""
+    found, there = track(1, "OLTOT"), track(1, "OLTOT", y=2.0)
+    entries = (*there.history[:2], *found.history[2:])
+    turned = tuple(replace(e, frame_index=4 - e.frame_index) for e in entries)
+    read = in_order_of_time(replace(found, history=turned), CONFIG)
+    assert letters(read) == "TORLO"
+    for entry in read.history:
+        assert entry.box is found.history[0].box
+        assert entry.S_world_canonical is found.history[0].S_world_canonical
+
+
 def test_the_whole_track_has_its_final_class():
     original = track(1, "TT")
     early = (replace(original.history[0], class_id=TABLE), original.history[1])

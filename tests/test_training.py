@@ -157,9 +157,11 @@ def test_weights_bring_their_configuration(tmp_path: Path, tiny_weights: Path) -
     save_weights(network, other, tmp_path / "other.safetensors", notes)
     run = options(tmp_path / "run", start_from=tmp_path / "other.safetensors")
     begun = Trainer(None, run, ALONE)
-    assert begun.config.model == other and not begun.notes
-    asked = Trainer(CONFIG, run, ALONE)
-    assert asked.config == CONFIG
+    assert begun.config.model == other
+    (note,) = begun.notes
+    assert "up to step 3200 poses are not taught" in note and '"joint_from_step": 0' in note
+    asked = Trainer(replace(CONFIG, joint_from_step=0), run, ALONE)
+    assert asked.config.model == CONFIG.model
     (note,) = asked.notes
     assert "volume.memory_frames 7; this run has 900" in note
 
@@ -194,6 +196,64 @@ def test_a_run_does_not_go_on_with_another_recipe(tmp_path: Path) -> None:
         ):
             Trainer(other, options(tmp_path), ALONE)
     Trainer(replace(CONFIG), options(tmp_path), ALONE)  # the same is welcome
+
+
+def test_the_last_steps_are_kept_before_they_are_validated(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: object) -> None:
+        assert load_checkpoint(tmp_path / "checkpoint.pt")["progress"].step == 2
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop, "validate", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train(CONFIG, options(tmp_path, max_steps=2), SceneSource(data_dir=recordings))
+
+
+def test_a_checkpoint_that_fails_does_not_end_the_run(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """The disk is full for a while."""
+    real, asked = loop.save_checkpoint, []
+
+    def save(path: Path, *rest: object) -> None:
+        asked.append(path)
+        if len(asked) == 1:
+            raise DataError(f"{path}: cannot be written (No space left on device)")
+        real(path, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(loop, "save_checkpoint", save)
+    run = options(tmp_path, max_steps=3, save_every_minutes=0, validation_scenes=0)
+    train(CONFIG, run, SceneSource(data_dir=recordings))
+    assert capsys.readouterr().out.count("not saved") == 1
+    assert load_checkpoint(tmp_path / "checkpoint.pt")["progress"].step == 3
+    monkeypatch.setattr(loop, "save_checkpoint", lambda *_: save(Path("x")) or asked.clear())
+    asked.clear()
+    with pytest.raises(DataError, match="No space"):  # at the end it is told of
+        train(
+            CONFIG,
+            replace(run, save_every_minutes=60, max_steps=1),
+            SceneSource(data_dir=recordings),
+        )
+
+
+def test_processes_draw_numbers_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "DistributedDataParallel", lambda module, **_: module)
+    both = [Trainer(CONFIG, options(tmp_path), replace(ALONE, rank=r, size=2)) for r in (0, 1)]
+    first, second = (torch.rand(5, generator=trainer.generator) for trainer in both)
+    assert not torch.equal(first, second)
+
+
+@pytest.mark.parametrize("frames", [6, 16, 20, 24, 32])
+def test_scenes_are_never_counted_too_low(frames: int) -> None:
+    """Of a walk in which every second frame is looked at there are fewer samples than asked for."""
+    rng = np.random.default_rng(0)
+    config = replace(CONFIG, frames_per_scene=frames)
+    walks = [len(data.walk(30, frames, rng, data.LONG_WALKS)) for _ in range(300)]
+    drawn = np.minimum(walks, frames).sum()
+    assert loop._scenes_of(int(drawn), config, 1) >= len(walks)
 
 
 def test_time_is_up(recordings: Path, tmp_path: Path) -> None:

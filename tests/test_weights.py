@@ -157,3 +157,15 @@ def test_a_frame_out_of_turn_leaves_nothing_behind(tiny_weights: Path) -> None:
         with pytest.raises(SequenceError, match=f"frame {index} came after frame 5"):
             tracker(frame(index, [], yaw=np.pi))
     np.testing.assert_array_equal(tracker.look(frame(6, [BOX])).surface, known)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_frames_of_a_world_and_frames_without_are_not_mixed(
+    tiny_weights: Path, known: bool
+) -> None:
+    tracker = load_tracker(tiny_weights, device="cpu")
+    tracker(replace(frame(0, [BOX]), pose_known=known))
+    with pytest.raises(SequenceError, match=f"frame 1: pose_known is {not known}, but {known}"):
+        tracker(replace(frame(1, [BOX]), pose_known=not known))
+    tracker(replace(frame(2, [BOX]), pose_known=known))
+    tracker.restart()(replace(frame(0, [BOX]), pose_known=not known))

@@ -81,19 +81,26 @@ def mean_shift(
     moving = torch.arange(len(sizes), device=own.device)
     for _ in range(steps):
         at, to = seeds[moving], places[moving]
-        pull = (torch.cdist(at, to) <= radius) * weight[moving, None]
+        pull = (distances(at, to) <= radius) * weight[moving, None]
         moved = torch.where(real[moving], (pull @ to) / pull.sum(dim=2, keepdim=True), at)
         seeds[moving] = moved
         moving = moving[(moved - at).abs().amax(dim=(1, 2)) >= 1e-3 * radius]
         if not len(moving):
             break
-    density = ((torch.cdist(seeds, places) <= radius) * weight[:, None]).sum(dim=2)
+    density = ((distances(seeds, places) <= radius) * weight[:, None]).sum(dim=2)
     order = torch.argsort(density, dim=1, descending=True, stable=True)
     ended = seeds[own, slot]
     modes, mode_frame = _separate(seeds.gather(1, order[..., None].expand_as(seeds)), sizes, radius)
-    distance = torch.cdist(ended, modes)
+    distance = distances(ended, modes)
     distance = torch.where(own[:, None] == mode_frame, distance, torch.inf)
     return modes, mode_frame, distance.argmin(dim=1)[member]
+
+
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """(..., N, M) between (..., N, 3) and (..., M, 3). On a GPU not by matrix products, which TF32
+    (where it is switched on, as for training) rounds to several voxels."""
+    exact, quick = "donot_use_mm_for_euclid_dist", "use_mm_for_euclid_dist_if_necessary"
+    return torch.cdist(a, b, compute_mode=exact if a.is_cuda else quick)
 
 
 _NOWHERE = 1e4

@@ -15,7 +15,7 @@ import torch
 
 from composenet.config import Config, TrackingConfig, from_dict, to_dict
 from composenet.detection import Proposals, propose, remembered, second_look
-from composenet.errors import ConfigError
+from composenet.errors import ConfigError, SequenceError
 from composenet.network.batch import VolumeBatch, collate
 from composenet.network.detection_head import VoxelFields
 from composenet.network.model import ComposeNet
@@ -74,6 +74,7 @@ class ObjectTracker:
         self._memory = Memory(config.volume.memory_frames)
         self._tracker = Tracker(config.tracking, config.volume.max_depth_m)
         self._world = WorldCheck()
+        self._pose_known: bool | None = None  # whether the frames so far are in one world
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
@@ -89,6 +90,7 @@ class ObjectTracker:
         """The first half: volume, voxel fields, proposals. Raises SequenceError as `follow` does,
         before the frame leaves anything behind."""
         self._tracker.expect(frame.index)
+        self._expect_one_kind(frame)
         doubt = self._world(frame)
         clock = _Clock(self.device)
         with clock("volume"):
@@ -112,6 +114,16 @@ class ObjectTracker:
             objects = self._tracker.update(sight.frame, estimates, sight.surface)
         timings_ms = sight.timings_ms | timings_ms | clock.milliseconds
         return FrameResult(objects, estimates, timings_ms, sight.doubt)
+
+    def _expect_one_kind(self, frame: Frame) -> None:
+        """Raises SequenceError for a frame whose world is unknown among others, or the reverse:
+        tracks cannot be carried from one to the other."""
+        if self._pose_known not in (None, frame.pose_known):
+            raise SequenceError(
+                f"frame {frame.index}: pose_known is {frame.pose_known}, but {self._pose_known} in "
+                "the frames before; leave frames whose pose is not known out"
+            )
+        self._pose_known = frame.pose_known
 
     @torch.inference_mode()
     def _estimates(self, sight: Sight) -> tuple[tuple[ObjectEstimate, ...], dict[str, float]]:
@@ -144,8 +156,9 @@ class ObjectTracker:
 
     def turn_back(self) -> None:
         """After the last frame: the recording is looked at once more, from its end to its start,
-        with all that it showed. Give the frames again in reverse; what is then said of a frame, and
-        `tracks`, takes the place of what was said before. Raises SequenceError the second time."""
+        with what volume.memory_frames around showed. Give the frames again in reverse; what is then
+        said of a frame, and `tracks`, takes the place of what was said before. Raises SequenceError
+        the second time."""
         self._tracker.turn_back()
 
     def tracks(self) -> tuple[Track, ...]:

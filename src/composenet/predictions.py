@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from composenet.errors import DataError
+from composenet.errors import DataError, SequenceError
 from composenet.geometry.transform import rotation_from_quaternion
 from composenet.records import (
     CLASS_NAMES,
@@ -30,6 +31,7 @@ from composenet.records import (
 
 SCHEMA = "composenet.tracks/1"
 TRACKS_JSON, TRACKS_TXT, CANONICAL = "tracks.json", "tracks.txt", "canonical.npz"
+_UNREADABLE = (OSError, ValueError, TypeError, EOFError, zlib.error, zipfile.BadZipFile)
 _T = TypeVar("_T")
 
 
@@ -186,7 +188,7 @@ def _with_canonical(run: PredictedSequence, path: Path) -> PredictedSequence:
     try:
         with np.load(path, allow_pickle=False) as grids:
             canonical = {int(key.removeprefix("track_")): grids[key] for key in grids.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise DataError(f"{path}: not readable ({error}); run `track` again") from None
     for track_id, grid in canonical.items():
         if grid.shape != (64, 64, 64):
@@ -199,7 +201,7 @@ def _read(where: Path, part: str, read: Callable[[], _T]) -> _T:
         return read()
     except KeyError as error:
         raise DataError(f"{where}: {part} lacks {error}; run `track` again") from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, SequenceError) as error:
         raise DataError(f"{where}: {part} is wrong ({error}); run `track` again") from None
 
 

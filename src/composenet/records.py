@@ -198,7 +198,7 @@ def _usable_pose(what: str, T_world_camera: FloatArray) -> FloatArray:
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise SequenceError(
             f"{what}: T_world_camera is no (4, 4) matrix of finite numbers; leave "
-            "frames without a pose out, or give a levelled one and pose_known=False"
+            "frames without a pose out (pose_known=False is for recordings without any)"
         )
     if not is_rigid(T):
         raise SequenceError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from pathlib import Path
 from composenet.errors import DataError
 from composenet.predictions import CANONICAL, SCHEMA, TRACKS_JSON, TRACKS_TXT
 
+_MESH = re.compile(r"track_\d+\.(ply|glb)")
 CONFIG, TIMINGS, REPORT, REPLAY = "config.json", "timings.json", "report.html", "replay.rrd"
 
 
@@ -52,7 +54,7 @@ def writing(folder: Path) -> Iterator[None]:
 def _files(folder: Path) -> list[Path]:
     """Those there that a result would replace."""
     names = (TRACKS_JSON, TRACKS_TXT, CANONICAL, CONFIG, TIMINGS, REPORT, REPLAY)
-    meshes = [p for kind in ("ply", "glb") for p in (folder / "meshes").glob(f"track_*.{kind}")]
+    meshes = [p for p in (folder / "meshes").glob("track_*") if _MESH.fullmatch(p.name)]
     return [*(folder / name for name in names if (folder / name).exists()), *sorted(meshes)]
 
 

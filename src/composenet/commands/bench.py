@@ -22,6 +22,7 @@ from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     VARIANTS,
     ScoredSequence,
+    claim_scores,
     sequence_folders,
     tall_table,
 )
@@ -60,7 +61,7 @@ def run_bench(
         raise DataError(f"--report {report}: name a file, such as {report / 'benchmark.md'}")
     names = chosen_methods(methods)
     folders = sequence_folders(data)
-    out.mkdir(parents=True, exist_ok=True)
+    claim_scores(out, data)
     asked = _checked(names, Asked(camera, weights, device))
     made_of = _weights_by_row(names, asked, "all" in methods, console)
     names = list(made_of)

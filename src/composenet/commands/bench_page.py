@@ -50,7 +50,8 @@ def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -
         to_markdown(info, scores).rstrip(),
         "Tracking: a match needs the class to be equal and the centres to be under 25 cm apart; "
         "intervals are 95 %, by bootstrap over sequences. Seconds are those of the machine above, "
-        "with as many processes as the command says and whatever else it had to do.",
+        "with as many processes as the command says and whatever else it had to do, but for "
+        "sequences whose scores an earlier command had kept.",
         *_lead(outcomes),
         f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
         "Rows that are told where each track starts see surfaces only, so the centre of an object "

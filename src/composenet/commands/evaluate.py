@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from composenet.commands.jobs import aggregated, failure_lines, guarded, run_jobs
@@ -16,6 +17,7 @@ from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     WAYS,
     ScoredSequence,
+    claim_scores,
     moved_truth,
     score_tracks,
     sequence_folders,
@@ -25,8 +27,11 @@ from composenet.commands.terminal import say
 from composenet.errors import DataError
 from composenet.files import write_atomic
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
-from composenet.predictions import read_predictions
+from composenet.predictions import PredictedSequence, read_predictions
 from composenet.synth.dataset import read_truth
+
+SAME_POSE = 0.01
+"""metres, and entries of rotations: poses of one camera differ by less"""
 
 
 def run_eval(
@@ -49,7 +54,7 @@ def run_eval(
     unknown = sorted(set(variants) - set(WAYS))
     if unknown:
         raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(WAYS)}")
-    out.mkdir(parents=True, exist_ok=True)
+    claim_scores(out, data)
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
         cache = ScoreCache(out / "sequences", (), Path(os.devnull))
@@ -106,8 +111,29 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
         )
     if len(by_index) < len(run.frames):
         raise DataError(f"{own}: tells of a frame twice; each has one entry in tracks.json")
-    first = run.frames[0]
-    T_source_camera = np.loadtxt(folder / "pose" / f"{first.name}.txt")
-    truth = moved_truth(truth, first.T_world_camera @ np.linalg.inv(T_source_camera))
+    truth = moved_truth(truth, _world_of(run, folder, own))
     tracked = [by_index[i] for i in range(len(truth.frames))]
     return score_tracks(truth, tracked, canonical=run.canonical)
+
+
+def _world_of(run: PredictedSequence, folder: Path, result: Path) -> NDArray[np.float64]:
+    """(4, 4), maps the world of the sequence's poses to that of the result, by the first frame.
+    Raises DataError where the result's cameras cannot be those of the sequence."""
+    T_world = np.array([frame.T_world_camera for frame in run.frames])
+    names = [frame.name for frame in run.frames]
+    T_source = np.array([np.loadtxt(folder / "pose" / f"{name}.txt") for name in names])
+    T_world_source: NDArray[np.float64] = T_world[0] @ np.linalg.inv(T_source[0])
+    off = np.abs(T_world_source @ T_source - T_world).max(axis=(1, 2))
+    if run.T_level_source is not None and off.max() > SAME_POSE:
+        raise DataError(
+            f"{result}: its camera is elsewhere than that of {folder} in frame "
+            f"{names[int(off.argmax())]}; give what `composenet track {folder}` wrote "
+            "(T_level_source is null where a tracker had poses of its own)"
+        )
+    level_by_level = run.T_level_source is None and not T_world[:, :2, 3].any()
+    if level_by_level and np.ptp(T_source[:, :3, 3], axis=0).max() > SAME_POSE:
+        raise DataError(
+            f"{result}: tracked without poses, each frame in a world of its own, and only tracks "
+            f"of one world can be scored; track {folder} with its poses or with --odometry"
+        )
+    return T_world_source

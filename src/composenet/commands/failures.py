@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from composenet.commands.scoring import ScoredSequence, moved_truth
+from composenet.commands.scoring import ScoredSequence, truth_of
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import resize_camera
 from composenet.metrics.clear import FrameErrors
@@ -16,7 +16,6 @@ from composenet.metrics.evaluate import SEEN_STATES, posed_truths
 from composenet.metrics.objects import PosedTruth
 from composenet.records import CLASS_NAMES, Frame, TrackedObject
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
 from composenet.view.figures import ColoredBox, base_image, draw_boxes
 
 PICTURES = 3
@@ -71,7 +70,7 @@ def picture(failure: Failure, scored: ScoredSequence) -> Image.Image | None:
     frame = next((frame for frame in sequence if frame.index == failure.frame), None)
     if frame is None:
         return None
-    truth = moved_truth(read_truth(failure.folder), sequence.T_level_source)
+    truth = truth_of(failure.folder, sequence)
     boxes = [
         *_true_boxes(posed_truths(truth)[failure.frame], failure.errors),
         *_tracked_boxes(scored.tracked[failure.frame], failure.errors),

@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -113,7 +114,21 @@ def aggregated(outcomes: Mapping[Job, Outcome]) -> dict[str, DatasetScores]:
     for (name, folder), outcome in outcomes.items():
         if isinstance(outcome, ScoredSequence):
             scored.setdefault(name, {})[folder.name] = outcome.scores
-    return {name: aggregate(parts) for name, parts in scored.items()}
+    return {
+        name: replace(aggregate(parts), track_iou=_track_iou(name, outcomes))
+        for name, parts in scored.items()
+    }
+
+
+def _track_iou(name: str, outcomes: Mapping[Job, Outcome]) -> float:
+    """See DatasetScores."""
+    ious = [
+        item.volume_iou
+        for (other, _), outcome in outcomes.items()
+        if other == name and isinstance(outcome, ScoredSequence)
+        for item in outcome.completions
+    ]
+    return sum(ious) / len(ious) if ious else float("nan")
 
 
 def failure_lines(outcomes: Mapping[Job, Outcome]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,8 @@ from composenet.records import (
     SequenceTruth,
     TrackedObject,
 )
+from composenet.sequences.recording import RecordedSequence
+from composenet.synth.dataset import read_truth
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "full": {"use_correspondences": True, "use_completion": True},
@@ -84,6 +87,19 @@ def sequence_folders(data: Path) -> list[Path]:
     return folders
 
 
+def truth_of(folder: Path, sequence: RecordedSequence) -> SequenceTruth:
+    """The ground truth of a written sequence in the world of its frames. Raises DataError where it
+    is of more or fewer frames than the recording has."""
+    truth = read_truth(folder)
+    if sequence.recorded != len(truth.frames):
+        raise DataError(
+            f"{folder}: {sequence.recorded} frames, but annotations.json tells of "
+            f"{len(truth.frames)}; frame N of the one would be scored by another of the other: "
+            "write or copy the sequence again"
+        )
+    return moved_truth(truth, sequence.T_level_source)
+
+
 def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTruth:
     """The ground truth in the levelled world that tracking used; boxes drawn tight anew."""
     hulls = {item.gt_id: item.hull for item in truth.objects}
@@ -96,6 +112,23 @@ def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTru
         return replace(entry, T_world_object=T_world_object, box=box)
 
     return replace(truth, frames=tuple(tuple(map(moved, frame)) for frame in truth.frames))
+
+
+def claim_scores(out: Path, data: Path) -> None:
+    """Make the folder that scores go to. Raises DataError where it holds a results.json that is
+    not of `eval` or `bench`, or is of another data folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    path, name = out / "results.json", data.resolve().name
+    if not path.exists():
+        return
+    try:
+        earlier = json.loads(path.read_text())
+        of = str(earlier["data"]) if "variants" in earlier else None
+    except (OSError, ValueError, TypeError, KeyError):
+        of = None
+    if of != name:
+        what = "a results.json that is not ours" if of is None else f"the scores of {of!r}"
+        raise DataError(f"{out}: holds {what}; give another --out folder for those of {name!r}")
 
 
 def tall_table(section: Section) -> Table:

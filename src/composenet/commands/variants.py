@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from composenet.commands.score_cache import ScoreCache
-from composenet.commands.scoring import WAYS, ScoredSequence, moved_truth, score_tracks
+from composenet.commands.scoring import WAYS, ScoredSequence, score_tracks, truth_of
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker, select_device
 from composenet.records import Frame, SequenceTruth
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
 
 
 def score_variants(
@@ -47,7 +46,7 @@ def score_variants(
             tracker.turn_back()
         for place in reversed(range(len(frames))):
             follow(place, twice)
-    truth = moved_truth(read_truth(folder), sequence.T_level_source)
+    truth = truth_of(folder, sequence)
     return {
         variant: _score(truth, frames, tracker, results[variant], seconds[variant].tolist())
         for variant, tracker in trackers.items()

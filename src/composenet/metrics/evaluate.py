@@ -71,7 +71,8 @@ class DatasetScores:
     mota_by_sequence: by name, NaN for a sequence without counted objects; mota_mean: of the
     others, with its 95 % interval (bootstrap over sequences). clear, clear_per_class, identity,
     hota: pooled over all sequences. precisions, completion, pose: None where only tracks were
-    scored.
+    scored. track_iou: mean of all TrackletCompletions, 0..1; NaN where no track has a
+    reconstruction.
     """
 
     mota_by_sequence: Mapping[str, float]
@@ -86,6 +87,7 @@ class DatasetScores:
     pose: PoseScores | None
     seconds_median: float
     seconds_p95: float
+    track_iou: float = float("nan")
 
 
 def evaluate_sequence(

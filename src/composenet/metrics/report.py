@@ -182,6 +182,7 @@ def _variant(scores: DatasetScores) -> dict[str, Any]:
         "det_map50": _percent(_map(scores, "box50")),
         "completion_map25": _percent(_map(scores, "completion25")),
         "completion_map50": _percent(_map(scores, "completion50")),
+        "track_iou": _percent(scores.track_iou),
         "rotation_error_deg_median": _number(pose.rotation_deg_median if pose else _UNDEFINED),
         "translation_error_cm_median": _number(pose.translation_cm_median if pose else _UNDEFINED),
         "pose_recall": _percent(pose.recall if pose else _UNDEFINED),
@@ -242,6 +243,7 @@ def _events(scores: DatasetScores) -> dict[str, str]:
         "MOTP cm": _text(clear.motp_cm),
         "DetA %": _share(scores.hota.det_a),
         "AssA %": _share(scores.hota.ass_a),
+        "track IoU %": _share(scores.track_iou),
         "s / frame, 95th percentile": _text(scores.seconds_p95, 3),
     }
 

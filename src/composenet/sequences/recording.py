@@ -84,6 +84,12 @@ class RecordedSequence:
         """Number of frames that iteration tries; unreadable images found on the way are fewer."""
         return len(self._frames)
 
+    @property
+    def recorded(self) -> int:
+        """Number of frames that the recording has, skipped ones and those between strides included:
+        every `Frame.index` is below it."""
+        return len(self._source.frames)
+
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order. Raises SequenceError when not one of them could be read."""
         return self._read(self._frames)

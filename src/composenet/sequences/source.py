@@ -172,4 +172,4 @@ def in_order(names: Iterable[str]) -> list[str]:
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sorts `2` before `10` and `frame-2` before `frame-10`."""
     parts = re.split(r"(\d+)", name)
-    return [(1, int(p), "") if p.isdigit() else (0, 0, p) for p in parts]
+    return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]

@@ -21,20 +21,29 @@ from composenet.tracking.tracklet import decay
 
 def in_order_of_time(track: Track, config: TrackingConfig) -> Track:
     """A track whose frames were looked at backwards, earliest first, from the first frame on that
-    shows it. Re-found: seen after a frame in which it was not. While it is unseen its confidence
-    decays from that of the last frame that showed it, in time."""
+    shows it; after the last that does, it is where that one shows it. Re-found: seen after a frame
+    in which it was not. While it is unseen its confidence decays from that of the last frame that
+    showed it, in time."""
     entries = _by_frame(track.history)
-    first = next((i for i, entry in enumerate(entries) if entry.observed), len(entries))
-    history: list[TrackedObject] = []
-    for entry in entries[first:]:
+    shown = [i for i, entry in enumerate(entries) if entry.observed]
+    if not shown:
+        return replace(track, history=())
+    last, history = entries[shown[-1]], list[TrackedObject]()
+    for entry in entries[shown[0] :]:
         if entry.observed:
             absent = bool(history) and not history[-1].observed
             entry = replace(entry, state=TrackState.RE_FOUND if absent else TrackState.TRACKED)
         else:
             confidence = decay(entry.state, config) * history[-1].confidence
             entry = replace(entry, confidence=confidence)
-        history.append(entry)
+        history.append(entry if entry.frame_index <= last.frame_index else _placed(entry, last))
     return replace(track, history=tuple(history))
+
+
+def _placed(entry: TrackedObject, there: TrackedObject) -> TrackedObject:
+    """The entry with the place and shape of another."""
+    S, extents_m = there.S_world_canonical, there.extents_m
+    return replace(entry, box=there.box, S_world_canonical=S, extents_m=extents_m)
 
 
 def link_offline(

@@ -22,7 +22,13 @@ from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
 from composenet.training.checkpoint import Progress, load_checkpoint, save_checkpoint
 from composenet.training.config import TrainingConfig
-from composenet.training.data import POOL_FRAMES, SceneSource, SceneStream, fixed_batches
+from composenet.training.data import (
+    LONGEST_WALK,
+    POOL_FRAMES,
+    SceneSource,
+    SceneStream,
+    fixed_batches,
+)
 from composenet.training.log import StepLog
 from composenet.training.processes import PREFETCHED, Group, StopRequest, batches_of
 from composenet.training.schedule import scheduled_rate
@@ -69,7 +75,10 @@ class Trainer:
         elif options.start_from:
             start, own, _ = load_weights(options.start_from)
             config = config or TrainingConfig(model=own)
-            self.notes = _differences(config.model, own, options.start_from)
+            self.notes = (
+                *_differences(config.model, own, options.start_from),
+                *_apart_at_first(config),
+            )
         self.config = config = resumed["config"] if resumed else config or TrainingConfig()
         torch.manual_seed(config.seed)
         self.progress = resumed["progress"] if resumed else Progress()
@@ -96,7 +105,9 @@ class Trainer:
         self.model: nn.Module = self.module
         if group.size > 1:
             self.model = DistributedDataParallel(self.module, find_unused_parameters=True)
-        self.generator = torch.Generator().manual_seed(config.seed + self.progress.step)
+        self.saved_step = self.progress.step
+        own_seed = config.seed + self.progress.step + SCENES_OF_A_SEED * group.rank
+        self.generator = torch.Generator().manual_seed(own_seed)
 
     def step(self, batch: TrainingBatch, rate: float) -> dict[str, float]:
         """One optimiser step; the losses and errors as numbers."""
@@ -131,6 +142,7 @@ class Trainer:
 
     def save(self) -> None:
         """Checkpoint and, beside it, the averaged weights."""
+        self.saved_step = self.progress.step
         if self.group.rank:
             return
         save_checkpoint(
@@ -175,6 +187,16 @@ def _differences(model: Config, own: Config, path: Path) -> tuple[str, ...]:
         f"{path} was made with {name} {there[name]}; this run has {value}"
         for name, value in here.items()
         if value != there[name]
+    )
+
+
+def _apart_at_first(config: TrainingConfig) -> tuple[str, ...]:
+    """What a run that begins from weights should know of its first steps."""
+    if not config.joint_from_step or config.parts in ("detector", "boxes"):
+        return ()
+    return (
+        f"up to step {config.joint_from_step} poses are not taught, and objects on jittered true "
+        'boxes; weights that have learned both go on best with "joint_from_step": 0',
     )
 
 
@@ -226,20 +248,21 @@ def train(config: TrainingConfig | None, options: RunOptions, source: SceneSourc
     with nullcontext() if group.rank else held(options.out):
         trainer = Trainer(config, options, group)
         log = StepLog(options.out, options.max_minutes, quiet=group.rank > 0)
-        begun_at = trainer.progress.step
-        if begun_at and options.start_from:
+        if trainer.progress.step and options.start_from:
             log.say(f"goes on from {trainer.checkpoint_path}; --start-from is for a new --out")
         for note in (*trainer.notes, *_other_source(trainer.progress, source)):
             log.say(note)
         trainer.progress.source = source.told
-        try:
-            with StopRequest() as stop:
+        with StopRequest() as stop:
+            try:
                 _run(trainer, options, source, log, stop)
-        finally:
-            if trainer.progress.step > begun_at:
-                trainer.save()
-            log.close()
-            group.stop()
+            finally:
+                try:
+                    if trainer.progress.step > trainer.saved_step:
+                        trainer.save()
+                finally:
+                    log.close()
+                    group.stop()
     return options.out / "weights.safetensors"
 
 
@@ -290,13 +313,23 @@ def _run(
         progress.scenes += _scenes_per_step(trainer.config, trainer.group.size)
         log.step(progress, values, rate, waited, time.monotonic() - now, share)
         if time.monotonic() - last_save > 60 * options.save_every_minutes:
-            trainer.save()
+            _save_or_tell(trainer, log)
             last_save = time.monotonic()
         if time.monotonic() - last_validation > 60 * options.validate_every_minutes:
             log.validation(progress, _validate(trainer, validation))
             last_validation = time.monotonic()
+    if trainer.progress.step > trainer.saved_step:
+        trainer.save()  # first: validation takes long, and a machine may be lent for so long only
     if not stop.asked_at:
         log.validation(progress, _validate(trainer, validation))
+
+
+def _save_or_tell(trainer: Trainer, log: StepLog) -> None:
+    """Save on the way: what does not work now may work the next time, and at the end it must."""
+    try:
+        trainer.save()
+    except DataError as error:
+        log.say(f"goes on, not saved: {error}")
 
 
 def _batches(trainer: Trainer, options: RunOptions, source: SceneSource) -> Iterator[TrainingBatch]:
@@ -321,8 +354,10 @@ def _scenes_per_step(config: TrainingConfig, processes: int) -> int:
 
 
 def _scenes_of(frames: int, config: TrainingConfig, processes: int) -> int:
-    """How many scenes give so many frames to each process, at most."""
-    return processes * -(-frames // max(1, config.frames_per_scene - 1))
+    """How many scenes give so many frames to each process, at most: few samples are lost, but
+    where every second frame is looked at there are no more than these."""
+    least = min(config.frames_per_scene - 1, LONGEST_WALK // 2)
+    return processes * -(-frames // max(1, least))
 
 
 def _validate(trainer: Trainer, batches: list[TrainingBatch]) -> dict[str, float]:

@@ -302,11 +302,12 @@ def _look(
         depth_m, K[0, 0], K[1, 1], K[0, 2], K[1, 2], T_turned_camera[:3, :3], eye,
         config.max_depth_m,
     )  # fmt: skip
-    if valid.sum() < 100:
-        return None
     memory = memory if memory is not None and frame.pose_known else Memory(0)
     memory.see_through(frame.index, depth_m, K, T_world_camera)
-    old = memory.recall(frame.index, depth_m, K, T_world_camera).turned(R.T)
+    recalled = memory.recall(frame.index, depth_m, K, T_world_camera)
+    if valid.sum() < 100:
+        return None
+    old = recalled.turned(R.T)
     depth_m[depth_m > config.max_depth_m] = 0
     seen_low, seen_high = _span(points, valid)
     near = _near(old.points, seen_low, seen_high, config.memory_reach_m)
