@@ -156,3 +156,17 @@ def test_a_picture_shows_what_is_missed_and_what_is_false(outcomes: dict[Job, Ou
     assert len(near(shown, MISSED)) > 50 and len(near(shown, FALSE)) > 50
     assert not len(near(right, MISSED)) and not len(near(right, FALSE))
     assert picture(Failure(folder, 99, wrong.errors[3]), wrong) is None
+
+
+def test_what_the_masks_are_worth_is_said_where_a_network_finds_them(
+    outcomes: dict[Job, Outcome],
+) -> None:
+    folder = next(path for name, path in outcomes if name == "full")
+    rows = {
+        ("full", folder): outcomes["full", folder],
+        ("f2f-gt", folder): outcomes["full", folder],
+    }
+    assert "Mask R-CNN" not in markdown(INFO, rows, Cameras.GIVEN)
+    rows["maskfusion", folder] = outcomes["full", folder]
+    told = markdown(INFO, rows, Cameras.GIVEN)
+    assert "masks of maskfusion are those of a Mask R-CNN that has learned from 27,008" in told

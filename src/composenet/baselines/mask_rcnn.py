@@ -87,6 +87,13 @@ def distinct(found: InstanceMasks) -> InstanceMasks:
     return InstanceMasks(found.masks[kept], found.class_ids[kept], found.scores[kept])
 
 
+def frames_learned() -> int:
+    """How many frames the weights shipped in the package have learned from."""
+    from composenet.baselines.mask_rcnn_network import load_network
+
+    return int(load_network(mask_rcnn_weights())[1]["frames"])
+
+
 @cache
 def _network(weights: Path, device: str) -> MaskRCNN:
     """Read once a process, with one thread on the CPU: sequences run in parallel processes."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from composenet.baselines.mask_rcnn import frames_learned, mask_rcnn_masks
 from composenet.baselines.records import Cameras, unwrapped
 from composenet.baselines.registry import ROWS
 from composenet.commands.failures import LEGEND, PICTURES, picture, worst_frames
@@ -56,13 +57,26 @@ def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -
         f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
         "Rows that are told where each track starts see surfaces only, so the centre of an object "
         "is unknown to them. As the paper grants, each of their tracks begins at the true centre "
-        "of its object (its first frame is moved there, and the estimated motion carries it on): "
-        "an advantage. The "
+        "of its object (its first frame is moved there, and the estimated motion carries it on), "
+        "one that begins after a loss as well: an advantage. The "
         "ComPoseNet rows are not helped so and are told no ground truth.",
+        *_on_masks(counts),
         "\n".join(_row_line(name) for name in counts),
     ]
     failed = failure_lines(outcomes)
     return "\n\n".join([*notes, *(["\n".join(f"- {line}" for line in failed)] if failed else [])])
+
+
+def _on_masks(names: Iterable[str]) -> list[str]:
+    """A sentence on the rows that see the masks of our Mask R-CNN, if there are any."""
+    rows = [name for name in names if name in ROWS and ROWS[name].masks is mask_rcnn_masks]
+    if not rows:
+        return []
+    return [
+        f"The masks of {', '.join(rows)} are those of a Mask R-CNN that has learned from "
+        f"{frames_learned():,} generated frames, a small part of what our own detector has seen: "
+        "a better one would narrow the gap."
+    ]
 
 
 def _row_line(name: str) -> str:
