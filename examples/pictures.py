@@ -6,6 +6,7 @@ python examples/pictures.py RECORDING RESULT --out picture.png [--frames 6]
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -54,7 +55,9 @@ def main(
             for entry in seen
             if (mesh := meshes.get(entry.track_id)) is not None
         ]
-        pictures.append(overlay(frame, seen, placed))
+        # the result's own world: of other frames the recording may be levelled slightly otherwise
+        there = replace(frame, T_world_camera=records[frame.index].T_world_camera)
+        pictures.append(overlay(there, seen, placed))
     if not pictures:
         raise DataError(f"{recording}: has none of the frames of {result}, of {run.sequence!r}")
     sheet = contact_sheet(pictures, columns=columns, cell=(400, 300))
@@ -71,5 +74,5 @@ def main(
 if __name__ == "__main__":
     try:
         tyro.cli(main)
-    except (ComposenetError, OSError) as error:
+    except (ComposenetError, OSError, ValueError) as error:
         sys.exit(f"pictures: {error}")

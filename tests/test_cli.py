@@ -146,7 +146,7 @@ BAD_ARGUMENTS = [
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--stride", "-2"], "--stride"),
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--save-every", "0"], "--save-every"),
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--max-depth-m", "0"], "--max-depth-m"),
-    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--intrinsics", "1,2"], "--intrinsics"),
+    (["track", "{data}/val_00000", "--out", "{tmp}/out", "--intrinsics", "1,2"], "four numbers"),
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--variant", "best"], "no-compl"),
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--weights", "{tmp}/bad"], "safetensors"),
     (["track", "{data}/val_00000", "--out", "{tmp}/out", "--weights", "{tmp}/no"], "no such"),

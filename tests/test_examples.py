@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from composenet.config import Config
 from composenet.output import OutputWriter
+from composenet.records import Frame
 from composenet.sequences import open_sequence
 
 PICTURES = Path(__file__).parents[1] / "examples" / "pictures.py"
@@ -63,3 +67,31 @@ def test_pictures_of_nothing_are_one_line(
     done = pictures(recording, tmp_path / name)
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("pictures: ") and words in done.stderr
+
+
+def test_pictures_are_drawn_in_the_world_of_the_result(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of a part of the recording, or of its odometry, is another than that of the whole."""
+    result = written(recordings / "val_00000", tmp_path / "result", 0, 2)
+    data = json.loads((result / "tracks.json").read_text())
+    for entry in data["frames"]:
+        entry["T_world_camera"][0][3] += 0.5
+    (result / "tracks.json").write_text(json.dumps(data))
+    example = runpy.run_path(str(PICTURES))
+    drawn, real = [], example["overlay"]
+
+    def overlay(frame: Frame, *others: object) -> object:
+        drawn.append(frame.T_world_camera)
+        return real(frame, *others)
+
+    monkeypatch.setitem(example["main"].__globals__, "overlay", overlay)
+    example["main"](recordings / "val_00000", result, tmp_path / "picture.png", frames=2)
+    expected = [entry["T_world_camera"] for entry in data["frames"]]
+    np.testing.assert_allclose(drawn, expected)
+
+
+def test_a_picture_of_no_known_kind_is_one_line(recordings: Path, tmp_path: Path) -> None:
+    result = written(recordings / "val_00000", tmp_path / "result", 0, 1)
+    done = pictures(recordings / "val_00000", result, "--out", tmp_path / "picture")
+    assert done.returncode == 1 and "extension" in done.stderr and done.stderr.count("\n") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import socket
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from scipy import ndimage
 from composenet.errors import DataError
 from composenet.predictions import FrameRecord, PredictedSequence
 from composenet.records import Track, TrackState
-from composenet.view import figures, meshes, plots, replay
+from composenet.view import figures, meshes, plots, replay, report_svg
 from fake_tracks import CAMERA, LOOK_X, box_grid, centres, make_frame, make_object
 
 
@@ -120,6 +121,9 @@ def test_saved_meshes_load_back(tmp_path: Path) -> None:
     assert from_glb.is_watertight
     expected = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]
     np.testing.assert_allclose(from_glb.bounds[0], expected.min(axis=0), atol=1e-5)
+    light = np.array(from_glb.visual.material.baseColorFactor[:3]) / 255  # glTF: linear
+    srgb = 255 * (1.055 * light ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(srgb, figures.track_color(1), atol=2)
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -191,6 +195,37 @@ def test_top_view_bounds_hold_camera_and_tracks() -> None:
     picture = np.asarray(plots.top_view(run, width=300))
     assert (picture == figures.track_color(1)).all(axis=-1).any()
     plots.top_view(PredictedSequence("empty", CAMERA, (), {}))
+
+
+def far_apart() -> PredictedSequence:
+    """Two objects at the edges of a wide, narrow room."""
+    left, right = (make_object(i, center=(x, 0.0, 0.4)) for i, x in ((1, 0.0), (11, 40.0)))
+    record = FrameRecord(0, "0", None, LOOK_X, (left, right))
+    return PredictedSequence("s", CAMERA, (record,), {1: 1, 11: 2})
+
+
+def test_labels_at_the_edge_are_whole() -> None:
+    drawing = report_svg.TopViewDrawing(plots.top_view_of(far_apart()))
+    labels = re.findall(r'<text x="([0-9.]+)"[^>]*text-anchor="middle"[^>]*>([^<]+)<',
+                        drawing.svg(far_apart()))  # fmt: skip
+    assert [name for _, name in labels] == ["1 bed", "11 bookshelf"]
+    for x, name in labels:
+        half = 3.5 * len(name)  # narrower than any font of that size draws it
+        assert half < float(x) < drawing.width - half
+    picture = np.asarray(plots.top_view(far_apart(), width=600)).astype(int)
+    for edge in (picture[:, :2], picture[:, -2:]):  # of the second label nothing is cut off
+        assert not (np.abs(edge - figures.track_color(11)).max(axis=-1) < 30).any()
+
+
+@pytest.mark.parametrize(("frames", "stride"), [(1001, 3), (251, 1), (12, 1), (1, 1)])
+def test_numbers_of_the_timeline_are_whole(frames: int, stride: int) -> None:
+    records = [FrameRecord(stride * n, str(n), None, LOOK_X, ()) for n in range(frames)]
+    svg = report_svg.timeline_svg(PredictedSequence("s", CAMERA, tuple(records), {}))
+    ticks = re.findall(r'<text x="([0-9.]+)"[^>]*text-anchor="(\w+)"[^>]*>(\d+)<', svg)
+    assert int(ticks[-1][2]) >= stride * (frames - 1) * 0.8
+    for x, anchor, name in ticks:
+        end = float(x) + (0 if anchor == "end" else 6.7 * len(name))
+        assert end <= report_svg.TIMELINE_WIDTH
 
 
 def test_state_segments_join_equal_neighbours() -> None:
@@ -281,3 +316,37 @@ def test_replay_holds_every_entity(tmp_path: Path) -> None:
     for name in ("camera", "camera/depth", "camera/color", "boxes", "tracks/1/mesh", "paths/2"):
         assert f"/world/{name}" in entities
     assert {"/states/track_1_bed", "/states/track_2_bookshelf"} <= entities
+
+
+def test_what_is_over_is_not_shown_to_the_end_of_the_replay(tmp_path: Path) -> None:
+    """Rerun shows the last of what was logged: an image without a successor, a mesh, a state."""
+    pytest.importorskip("rerun", reason="the viz extra is not installed")
+    logged: list[tuple[int, str, object]] = []
+    stream = replay.open_replay(tmp_path / "replay.rrd", "s")
+    assert isinstance(stream, replay.RerunReplay)
+    at, real_time, real_log = [0], stream._stream.set_time, stream._stream.log
+
+    def set_time(name: str, *, sequence: int) -> None:
+        at[0] = sequence
+        real_time(name, sequence=sequence)
+
+    def log(entity: str, what: object, *more: object, **options: object) -> None:
+        logged.append((at[0], entity, what))
+        real_log(entity, what, *more, **options)
+
+    stream._stream.set_time, stream._stream.log = set_time, log
+    for n in range(6):
+        told = [make_object(1, n)] if n in (1, 2, 4) else []
+        stream.add_frame(make_frame(n, color=n < 2), told)
+    mesh = meshes.canonical_mesh(box_grid(np.array([0.6, 1.2, 0.8])))
+    assert mesh is not None
+    stream.finish({1: mesh})
+
+    def of(entity: str) -> list[tuple[int, str]]:
+        return [(n, type(what).__name__) for n, name, what in logged if name == entity]
+
+    image, over = "EncodedImage", "Clear"
+    assert of("world/camera/color") == [(0, image), (1, image), *((n, over) for n in range(2, 6))]
+    assert of("world/tracks/1/mesh") == [(1, "Mesh3D"), (5, over)]
+    states = [n for n, name in of("states/track_1_bed") if name == "StateChange"]
+    assert states == [1, 3, 4, 5]  # tracked, over, tracked, over

@@ -6,13 +6,14 @@ import json
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from composenet.errors import DataError
 from composenet.predictions import CANONICAL, SCHEMA, TRACKS_JSON, TRACKS_TXT
 
 _MESH = re.compile(r"track_\d+\.(ply|glb)")
+_BEGIN = re.compile(r'\s*\{\s*"schema":\s*"' + re.escape(SCHEMA.partition("/")[0]) + "/")
 CONFIG, TIMINGS, REPORT, REPLAY = "config.json", "timings.json", "report.html", "replay.rrd"
 
 
@@ -60,6 +61,9 @@ def _files(folder: Path) -> list[Path]:
 
 def _is_tracks(path: Path) -> bool:
     """Ours, of any version."""
+    with suppress(OSError, UnicodeError), path.open() as file:
+        if _BEGIN.match(file.read(200)):  # of a long recording the rest is large
+            return True
     schema = _read_object(path).get("schema")
     return isinstance(schema, str) and schema.startswith(SCHEMA.partition("/")[0] + "/")
 

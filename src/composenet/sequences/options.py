@@ -14,7 +14,10 @@ Intrinsics = tuple[float, float, float, float]
 
 
 def _parse(words: list[str]) -> Intrinsics:
-    fx, fy, cx, cy = (float(word) for word in words[0].split(","))
+    try:
+        fx, fy, cx, cy = (float(word) for word in words[0].split(","))
+    except ValueError:
+        raise ValueError(f"{words[0]!r}: expected four numbers, fx,fy,cx,cy") from None
     return fx, fy, cx, cy
 
 
@@ -22,8 +25,8 @@ _COMMA_SEPARATED = PrimitiveConstructorSpec(
     nargs=1,
     metavar="FX,FY,CX,CY",
     instance_from_str=_parse,
-    is_instance=lambda value: isinstance(value, tuple) and len(value) == 4,
-    str_from_instance=lambda value: [",".join(str(number) for number in value)],
+    is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 4),
+    str_from_instance=lambda value: [",".join(map(str, value)) if value else "None"],
 )
 
 
@@ -31,7 +34,7 @@ _COMMA_SEPARATED = PrimitiveConstructorSpec(
 class SequenceOptions:
     """How to read a recording."""
 
-    intrinsics: Annotated[Intrinsics, _COMMA_SEPARATED] | None = None
+    intrinsics: Annotated[Intrinsics | None, _COMMA_SEPARATED] = None
     """focal lengths and principal point of the depth images on disk, pixels; overrides the file"""
     depth_scale: Positive | None = None
     """depth units a metre: 1000 for millimetres; default: the format's own"""

@@ -120,11 +120,18 @@ def save_mesh(mesh: trimesh.Trimesh, color: NDArray[np.uint8], stem: Path) -> tu
     plain = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     plain.visual = ColorVisuals(plain, vertex_colors=np.tile(rgba, (len(plain.vertices), 1)))
     ply = write_atomic(stem.with_suffix(".ply"), _bytes(plain.export(file_type="ply")))
-    material = PBRMaterial(baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=0.8)
+    material = PBRMaterial(baseColorFactor=_linear(rgba), metallicFactor=0.0, roughnessFactor=0.8)
     plain.visual = TextureVisuals(material=material)
     scene = trimesh.Scene()
     scene.add_geometry(plain, node_name=stem.name, transform=_Z_UP_TO_Y_UP)
     return write_atomic(stem.with_suffix(".glb"), _bytes(scene.export(file_type="glb"))), ply
+
+
+def _linear(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A colour in linear light, as glTF wants its factors, from sRGB."""
+    share = rgba[:3] / 255
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.append(np.rint(255 * light), rgba[3]).astype(np.uint8)
 
 
 def _bytes(exported: object) -> bytes:

@@ -13,6 +13,8 @@ from composenet.predictions import PredictedSequence
 from composenet.records import CLASS_NAMES, FloatArray, TrackedObject, TrackState
 from composenet.view.figures import track_color
 
+_STROKE = 3  # pixels of white around a label
+
 
 @dataclass(frozen=True)
 class TopView:
@@ -78,13 +80,15 @@ def top_view(run: PredictedSequence, width: int = 900) -> Image.Image:
         _draw_path(draw, at(path), color, 2)
         text = f"{track_id} {CLASS_NAMES[run.class_ids[track_id]]}"
         x, y = at(path[-1])[0]
+        half = font.getlength(text) / 2 + _STROKE
+        x = min(max(x, half), width - half)
         draw.text(
             (x, y - 6),
             text,
             fill=color,
             font=font,
             anchor="mb",
-            stroke_width=3,
+            stroke_width=_STROKE,
             stroke_fill="white",
         )
     return image

@@ -132,7 +132,8 @@ class RerunReplay:
         self._entities: dict[int, str] = {}
         self._first: dict[int, int] = {}
         self._last: dict[int, int] = {}
-        self._states: dict[int, TrackState] = {}
+        self._states: dict[int, TrackState] = {}  # of the tracks told of in the newest frame
+        self._newest = 0
 
     def add_frame(self, frame: Frame, tracked: Sequence[TrackedObject]) -> None:
         """Log one frame and its tracks."""
@@ -140,6 +141,11 @@ class RerunReplay:
         self._log_camera(frame)
         alive = [entry for entry in tracked if entry.state is not TrackState.ENDED]
         self._log_boxes(alive)
+        self._newest = frame.index
+        for track_id in self._states.keys() - {entry.track_id for entry in tracked}:
+            reset = self._rr.StateChange(state="")  # told of no more: a gap, not the last state
+            self._stream.log(self._entities[track_id], reset)
+            del self._states[track_id]
         for entry in tracked:
             self._log_state(entry)
         for entry in alive:
@@ -159,7 +165,7 @@ class RerunReplay:
             )
             self._stream.set_time("frame", sequence=self._first[track_id])
             self._stream.log(f"world/tracks/{track_id}/mesh", shape)
-            if self._last[track_id] < max(self._last.values()):
+            if self._last[track_id] < self._newest:
                 self._stream.set_time("frame", sequence=self._last[track_id] + 1)
                 self._stream.log(f"world/tracks/{track_id}/mesh", rr.Clear(recursive=False))
         self.close()
@@ -193,6 +199,8 @@ class RerunReplay:
         if frame.color is not None:
             color = rr.EncodedImage(contents=_encoded(frame.color, "JPEG"), media_type="image/jpeg")
             self._stream.log("world/camera/color", color)
+        else:  # else the last one would be shown
+            self._stream.log("world/camera/color", rr.Clear(recursive=False))
         self._log_path("world/paths/camera", T[:3, 3], [130, 138, 148])
 
     def _log_boxes(self, alive: Sequence[TrackedObject]) -> None:
@@ -231,8 +239,9 @@ class RerunReplay:
     def _log_state(self, entry: TrackedObject) -> None:
         rr = self._rr
         first_name = f"states/track_{entry.track_id}_{CLASS_NAMES[entry.class_id]}"
+        new = entry.track_id not in self._entities
         entity = self._entities.setdefault(entry.track_id, first_name)
-        if entry.track_id not in self._states:
+        if new:
             style = rr.StateConfiguration(
                 values=[state.value for state in TrackState],
                 labels=[state.value for state in TrackState],

@@ -16,6 +16,7 @@ _LEFT, _ROW, _TOP = 130, 24, 26
 _MARGIN_RIGHT = 14
 MIN_PATH_M = 0.3
 """shorter paths are jitter about one place"""
+_LETTER = 7.6  # width of one, at most, in labels and numbers
 _SHAPES: dict[TrackState, tuple[float, float]] = {  # top and height as shares of a row
     TrackState.TRACKED: (0.15, 0.70),
     TrackState.RE_FOUND: (0.05, 0.90),
@@ -76,11 +77,12 @@ def _frame_ticks(run: PredictedSequence, height: float) -> str:
     step = next((nice for nice in (1, 2, 5, 10, 20, 50, 100, 200, 500) if nice >= step), step)
     parts = []
     for n in range(0, count, step):
-        x = timeline_x(n, count)
+        x, name = timeline_x(n, count), str(run.frames[n].index)
+        anchor = "end" if x + _LETTER * len(name) > TIMELINE_WIDTH else "start"
         parts.append(
             f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP - 4}" y2="{height}" stroke="#edf0f4"/>'
-            f'<text x="{x:.1f}" y="{_TOP - 10}" font-size="12" fill="#626b7a">'
-            f"{run.frames[n].index}</text>"
+            f'<text x="{x:.1f}" y="{_TOP - 10}" font-size="12" text-anchor="{anchor}" '
+            f'fill="#626b7a">{name}</text>'
         )
     return "".join(parts)
 
@@ -140,6 +142,8 @@ class TopViewDrawing:
         name = f"{track_id} {CLASS_NAMES[run.class_ids[track_id]]}"
         corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.at(view.outlines[track_id]))
         x, y = self.at(view.outlines[track_id].mean(axis=0))
+        half = _LETTER * len(name) / 2
+        x = min(max(x, half), self.width - half)
         return (
             f'<g><title>{escape(name)}</title><polygon points="{corners}" fill="{color}" '
             f'fill-opacity="0.12" stroke="{color}" stroke-width="1.6"/>'
