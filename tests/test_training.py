@@ -227,14 +227,19 @@ def test_a_checkpoint_that_fails_does_not_end_the_run(
     train(CONFIG, run, SceneSource(data_dir=recordings))
     assert capsys.readouterr().out.count("not saved") == 1
     assert load_checkpoint(tmp_path / "checkpoint.pt")["progress"].step == 3
-    monkeypatch.setattr(loop, "save_checkpoint", lambda *_: save(Path("x")) or asked.clear())
-    asked.clear()
-    with pytest.raises(DataError, match="No space"):  # at the end it is told of
-        train(
-            CONFIG,
-            replace(run, save_every_minutes=60, max_steps=1),
-            SceneSource(data_dir=recordings),
-        )
+
+
+@pytest.mark.parametrize("save_every_minutes", [0, 60])
+def test_a_last_checkpoint_that_fails_is_told_of(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, save_every_minutes: float
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise DataError(f"{path}: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(loop, "save_checkpoint", full)
+    run = options(tmp_path, max_steps=1, save_every_minutes=save_every_minutes)
+    with pytest.raises(DataError, match="No space"):
+        train(CONFIG, run, SceneSource(data_dir=recordings))
 
 
 def test_processes_draw_numbers_of_their_own(

@@ -142,9 +142,11 @@ class Trainer:
 
     def save(self) -> None:
         """Checkpoint and, beside it, the averaged weights."""
+        if self.group.rank == 0:
+            self._write()
         self.saved_step = self.progress.step
-        if self.group.rank:
-            return
+
+    def _write(self) -> None:
         save_checkpoint(
             self.checkpoint_path,
             self.config,
@@ -319,7 +321,7 @@ def _run(
             log.validation(progress, _validate(trainer, validation))
             last_validation = time.monotonic()
     if trainer.progress.step > trainer.saved_step:
-        trainer.save()  # first: validation takes long, and a machine may be lent for so long only
+        trainer.save()  # first: validation takes long, and may be cut off
     if not stop.asked_at:
         log.validation(progress, _validate(trainer, validation))
 
