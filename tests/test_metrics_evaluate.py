@@ -409,6 +409,7 @@ KEYS = [
     "det_map50",
     "completion_map25",
     "completion_map50",
+    "track_iou",
     "rotation_error_deg_median",
     "translation_error_cm_median",
     "pose_recall",
