@@ -13,7 +13,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,10 +57,10 @@ def main(
             command = [sys.executable, "-m", "composenet", "train", *run, *options]
             with (out / f"{seed}.log").open("ab") as log:
                 running.append(subprocess.Popen(command, stdout=log, stderr=log))
-        with suppress(KeyboardInterrupt):  # each of them has it, too, and ends cleanly
-            for process in running:
-                process.wait()
-        codes = [process.wait() for process in running]
+        try:
+            codes = [process.wait() for process in running]
+        except KeyboardInterrupt:  # each of them has it, too, and ends cleanly
+            codes = [process.wait() for process in running]
     if any(codes):
         wrong = seeds[next(i for i, code in enumerate(codes) if code)]
         last = (out / f"{wrong}.log").read_text(errors="replace").strip().splitlines()[-1:]
