@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+import train_together
 from train_together import main
 
+from composenet import cli
 from composenet.config import dump
 from composenet.errors import DataError
 from composenet.network.weights import default_weights, load_weights
+from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
 from composenet.training.config import TrainingConfig, training_config
 from training_cases import CONFIG
 
 
-def test_each_alone_and_then_their_mean(tiny_weights: Path, tmp_path: Path) -> None:
+class Here:
+    """A command as it is run, in this process."""
+
+    def __init__(self, command: list[str], **_: object) -> None:
+        assert command[:3] == [sys.executable, "-m", "composenet"]
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as end:
+            patch.setattr(sys, "argv", command[2:])
+            cli.main()
+        self.code = end.value.code
+
+    def wait(self) -> object:
+        return self.code
+
+
+def test_each_alone_and_then_their_mean(
+    tiny_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train_together.subprocess, "Popen", Here)
+    monkeypatch.setattr(data, "POOL_FRAMES", 16)  # one step needs no more
+    monkeypatch.setattr(loop, "fixed_batches", lambda *_: [])
     dump(replace(CONFIG, batch_frames=1, frames_per_scene=2), tmp_path / "config.json")
     out = tmp_path / "out"
     common = {"config": tmp_path / "config.json", "workers": 0, "max_steps": 1, "device": "cpu"}

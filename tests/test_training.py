@@ -167,8 +167,12 @@ def test_weights_bring_their_configuration(tmp_path: Path, tiny_weights: Path) -
 
 
 def test_a_run_that_goes_on_with_other_scenes_says_so(
-    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    recordings: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
 ) -> None:
+    monkeypatch.setattr(data, "POOL_FRAMES", 16)  # one step needs no more
     run = options(tmp_path, max_steps=1, validation_scenes=0)
     for _ in range(2):
         train(CONFIG, run, SceneSource(data_dir=recordings))
