@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import composenet
 from composenet import cli
@@ -482,6 +483,27 @@ def test_looking_back_is_scored_as_it_is_written(
     keys = ("mota_mean", "mota_pooled", "mota_per_class", "id_switches", "idf1", "hota")
     assert [ours[key] for key in keys] == [theirs[key] for key in keys]
     assert ours["mota_pooled"] != 0
+
+
+def test_without_poses_it_is_scored_as_it_is_written(
+    run, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    """In a world of its own, levelled by what it sees; a frame that it cannot use is left out."""
+    data, tracks = tmp_path / "val_00000", tmp_path / "tracks"
+    shutil.copytree(recordings / "val_00000", data)
+    blank = np.zeros_like(np.array(Image.open(data / "depth" / "2.png")))
+    Image.fromarray(blank).save(data / "depth" / "2.png")
+    scores, written, options = tmp_path / "scores", tmp_path / "written", ["--data", data]
+    rows = ["--methods", "full", "--camera", "estimated", "--weights", tiny_weights]
+    assert run("bench", *options, *rows, "--out", scores) == 0
+    assert run("track", data, "--odometry", "--weights", tiny_weights, "--out", tracks) == 0
+    assert read_predictions(tracks).skipped == (2,)
+    assert run("eval", *options, "--out", written, "--predictions", tracks) == 0
+    ours, theirs = numbers(scores)["full"], numbers(written)["predictions"]
+    keys = ("counted", "tracked", "false_positives", "mota_pooled", "idf1", "hota")
+    assert [ours[key] for key in keys] == [theirs[key] for key in keys]
+    assert run("eval", *options, "--weights", tiny_weights, "--out", tmp_path / "given") == 0
+    assert numbers(tmp_path / "given")["full"]["counted"] == ours["counted"]
 
 
 def test_one_bad_sequence_does_not_stop_the_others(

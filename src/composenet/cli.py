@@ -207,8 +207,8 @@ class Bench:
     maskfusion-gt-masks, maskfusion, midfusion-gt-masks, midfusion, no-corr-no-compl, no-corr,
     no-compl, full"""
     camera: CameraPoses = "given"
-    """given: the recording's camera poses; estimated: each method finds its own (ours by odometry),
-    from the true pose of the first frame on"""
+    """given: the recording's camera poses; estimated: each method finds its own, ours as `track
+    --odometry` does, the others from the true pose of the first frame on"""
     weights: Path | None = None
     """weights of our network to use instead of the shipped ones"""
     device: str = "auto"

@@ -88,6 +88,7 @@ class OutputWriter:
         self._timings: list[dict[str, float]] = []
         self._class_ids: dict[int, int] = {}
         self._recording_warnings: tuple[str, ...] = ()
+        self._skipped: tuple[int, ...] = ()
         self._warnings: list[str] = []
         self._keepsakes = _Keepsakes()
         self._config, self._wants_replay = config, replay
@@ -119,9 +120,10 @@ class OutputWriter:
         if text not in self._warnings:
             self._warnings.append(text)
 
-    def warn_of_recording(self, lines: Sequence[str]) -> None:
-        """Warnings about the recording, in place of those given before: their counts grow."""
-        self._recording_warnings = tuple(lines)
+    def warn_of_recording(self, lines: Sequence[str], skipped: Sequence[int] = ()) -> None:
+        """Warnings about the recording, and the indices of the frames that it could not give, in
+        place of those given before: they grow."""
+        self._recording_warnings, self._skipped = tuple(lines), tuple(skipped)
 
     def add_frame(
         self, frame: Frame, tracked: Sequence[TrackedObject], timings_ms: Mapping[str, float]
@@ -202,6 +204,7 @@ class OutputWriter:
             frames=tuple(self._frames),
             class_ids=dict(self._class_ids),
             warnings=self._all_warnings(),
+            skipped=self._skipped,
         )
 
     def _all_warnings(self) -> tuple[str, ...]:

@@ -54,7 +54,8 @@ class PredictedSequence:
     float32 in 0..1, the final reconstruction; empty when the run was killed before its end.
     class_ids: final class of each track, by vote. mesh_files: PLY of a track, where it has one,
     relative to the result folder. T_level_source: (4, 4), maps the recording's own world to that
-    of the result; None where the recording's poses were not used.
+    of the result; None where the recording's poses were not used. skipped: indices of the
+    recording's frames that could not be used; why is in the warnings.
     """
 
     sequence: str
@@ -68,6 +69,7 @@ class PredictedSequence:
     weights_id: str = ""
     warnings: tuple[str, ...] = ()
     T_level_source: FloatArray | None = None
+    skipped: tuple[int, ...] = ()
 
     @property
     def histories(self) -> dict[int, tuple[TrackedObject, ...]]:
@@ -135,6 +137,7 @@ def sequence_from_json(data: Mapping[str, Any], where: Path) -> PredictedSequenc
         weights_id=str(meta["weights"]),
         warnings=tuple(meta["warnings"]),
         T_level_source=meta["T_level_source"],
+        skipped=meta["skipped"],
     )
 
 
@@ -144,6 +147,7 @@ def _header(data: Mapping[str, Any]) -> tuple[dict[str, Any], Camera, list[dict[
         meta[key]
     level = meta.get("T_level_source")
     meta["T_level_source"] = None if level is None else _array(level, (4, 4))
+    meta["skipped"] = tuple(int(index) for index in meta.get("skipped", ()))
     camera = meta["camera"]
     K = _array(camera["K"], (3, 3))
     return meta, Camera(K, int(camera["width"]), int(camera["height"])), tracks

@@ -58,6 +58,7 @@ def tracks_json(run: PredictedSequence, frames: Sequence[FrameText]) -> str:
             "weights": run.weights_id,
             "camera": {"K": K.tolist(), "width": run.camera.width, "height": run.camera.height},
             "T_level_source": None if level is None else np.asarray(level, np.float64).tolist(),
+            "skipped": [int(index) for index in run.skipped],
             "classes": list(CLASS_NAMES),
             "axes": AXES,
             "warnings": list(run.warnings),

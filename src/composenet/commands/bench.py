@@ -12,7 +12,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.baselines.ours import OwnCamera, no_masks
 from composenet.baselines.records import Cameras, Row, unwrapped
 from composenet.baselines.registry import ROWS
 from composenet.commands.bench_page import write_page
@@ -42,6 +41,11 @@ class Asked:
     weights: Path | None
     device: str
 
+    @property
+    def odometry(self) -> bool:
+        """Whether our own tracker finds the cameras' poses."""
+        return self.cameras is Cameras.ESTIMATED
+
 
 def run_bench(
     data: Path,
@@ -67,7 +71,7 @@ def run_bench(
     names = list(made_of)
     outcomes: dict[Job, Outcome] = {}
     work = partial(score_methods, asked=asked)
-    own = [name for name in names if _ours_together(name, camera)]
+    own = [name for name in names if name in VARIANTS]  # they share work
     for together in (*([name] for name in names if name not in own), *([own] if own else [])):
         cache = _cache(out, together[0], made_of[together[0]], asked)
         outcomes |= run_jobs(together, folders, work, cache, workers, console)
@@ -97,46 +101,37 @@ def chosen_methods(asked: Sequence[str]) -> list[str]:
 
 def score_methods(folder: Path, names: Sequence[str], *, asked: Asked) -> dict[str, ScoredSequence]:
     """Some rows over one sequence."""
-    if not _ours_together(names[0], asked.cameras):
-        from composenet.pipeline import select_device
+    if names[0] in VARIANTS:
+        from composenet.commands.variants import score_variants
 
-        device = str(select_device(asked.device))
-        rows = {name: ROWS[name] if name in ROWS else _own_row(name, asked) for name in names}
-        return {
-            name: score_system(folder, row, asked.cameras, device=device)
-            for name, row in rows.items()
-        }
-    from composenet.commands.variants import score_variants
+        assert asked.weights is not None
+        return score_variants(
+            folder, names, weights=asked.weights, device=asked.device, odometry=asked.odometry
+        )
+    from composenet.pipeline import select_device
 
-    assert asked.weights is not None
-    return score_variants(folder, names, weights=asked.weights, device=asked.device)
-
-
-def _ours_together(name: str, cameras: Cameras) -> bool:
-    """Our variants share work, as long as they see with the same cameras."""
-    return name in VARIANTS and cameras is Cameras.GIVEN
+    device = str(select_device(asked.device))
+    return {name: score_system(folder, ROWS[name], asked.cameras, device=device) for name in names}
 
 
 def _cache(out: Path, name: str, weights: Path | None, asked: Asked) -> ScoreCache:
     """Where a row's scores are kept; those of our variants where `composenet eval` keeps them."""
-    if _ours_together(name, asked.cameras):
+    if name in VARIANTS:
         from composenet.commands.variants import variant_cache
 
         assert weights is not None
-        return variant_cache(out, weights, asked.device)
+        return variant_cache(out, weights, asked.device, asked.odometry)
     from composenet.pipeline import select_device
 
     weights, device = weights or Path(os.devnull), str(select_device(asked.device))
     made = (made_by(name), weights, asked.cameras, device)
-    return ScoreCache(out / "sequences", *made, *(_options(ROWS[name]) if name in ROWS else ()))
+    return ScoreCache(out / "sequences", *made, *_options(ROWS[name]))
 
 
 def made_by(name: str) -> list[str]:
-    """The modules that score a comparison system, or our tracker with a camera of its own."""
-    if name in ROWS:
-        makers = [unwrapped(make).__module__ for make in (ROWS[name].make, ROWS[name].masks)]
-        return [score_system.__module__, *makers]
-    return [score_system.__module__, OwnCamera.__module__, "composenet.pipeline"]
+    """The modules that score a comparison system."""
+    makers = [unwrapped(make).__module__ for make in (ROWS[name].make, ROWS[name].masks)]
+    return [score_system.__module__, *makers]
 
 
 def _options(row: Row) -> list[str]:
@@ -190,22 +185,6 @@ def _weights_of(name: str, asked: Asked) -> Path | None:
         return asked.weights
     weights = ROWS[name].weights
     return weights() if weights else None
-
-
-def _own_row(name: str, asked: Asked) -> Row:
-    """One of our variants, tracking its own camera."""
-    import torch
-
-    from composenet.pipeline import load_tracker
-
-    torch.set_num_threads(1)
-    tracker = load_tracker(asked.weights, device=asked.device, **VARIANTS[name])
-    return Row(
-        lambda _: OwnCamera(tracker),
-        lambda *_: no_masks,
-        told="nothing",
-        starts_at_true_centre=False,
-    )
 
 
 def _origin(data: Path, names: Sequence[str], asked: Asked) -> RunInfo:

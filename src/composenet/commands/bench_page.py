@@ -28,6 +28,15 @@ _OURS = {
 }
 
 
+_POSES = {
+    Cameras.GIVEN: " to all alike.",
+    Cameras.ESTIMATED: ". Those of ComPoseNet are from odometry, which is told nothing; where its "
+    "world lies is taken from the true pose of the first frame, for the scoring alone, and frames "
+    "where it loses the camera count as seen by nobody. The others track their own camera from "
+    "the true pose of the first frame on.",
+}
+
+
 def write_page(
     page: Path, info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras
 ) -> None:
@@ -54,7 +63,7 @@ def markdown(info: RunInfo, outcomes: Mapping[Job, Outcome], cameras: Cameras) -
         "with as many processes as the command says and whatever else it had to do, but for "
         "sequences whose scores an earlier command had kept.",
         *_lead(outcomes),
-        f"Camera poses: {cameras.value}" + (" to all alike." if cameras is Cameras.GIVEN else "."),
+        f"Camera poses: {cameras.value}{_POSES[cameras]}",
         "Rows that are told where each track starts see surfaces only, so the centre of an object "
         "is unknown to them. As the paper grants, each of their tracks begins at the true centre "
         "of its object (its first frame is moved there, and the estimated motion carries it on), "

@@ -22,10 +22,12 @@ from composenet.commands.scoring import (
     score_tracks,
     sequence_folders,
     tall_table,
+    true_cameras,
 )
 from composenet.commands.terminal import say
 from composenet.errors import DataError
 from composenet.files import write_atomic
+from composenet.geometry.transform import inverse_T
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.predictions import PredictedSequence, read_predictions
 from composenet.synth.dataset import read_truth
@@ -96,14 +98,14 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
     run, name = read_predictions(own), folder.resolve().name
     if run.sequence != name:
         raise DataError(
-            f"{own}: a result of {run.sequence!r}, not of {name!r}; "
-            f"give what `composenet track {folder}` wrote"
+            f"{own}: a result of {run.sequence!r}, not of {name!r}; give what `composenet track "
+            f"{folder}` wrote, or an OutputWriter of that name"
         )
     if not run.frames:
         raise DataError(f"{own}: no tracked frame in it; run `composenet track {folder}` first")
     truth = read_truth(folder)
     by_index = {frame.index: frame.objects for frame in run.frames}
-    if missing := set(range(len(truth.frames))) - by_index.keys():
+    if missing := set(range(len(truth.frames))) - by_index.keys() - set(run.skipped):
         raise DataError(
             f"{own}: tells of {len(truth.frames) - len(missing)} of the {len(truth.frames)} frames "
             f"of {name}, not of frame {min(missing)}; track all of them, without --stride and "
@@ -112,7 +114,8 @@ def score_folder(folder: Path, predictions: Path) -> ScoredSequence:
     if len(by_index) < len(run.frames):
         raise DataError(f"{own}: tells of a frame twice; each has one entry in tracks.json")
     truth = moved_truth(truth, _world_of(run, folder, own))
-    tracked = [by_index[i] for i in range(len(truth.frames))]
+    # Frames that could not be used count as seen by nobody.
+    tracked = [by_index.get(i, ()) for i in range(len(truth.frames))]
     return score_tracks(truth, tracked, canonical=run.canonical)
 
 
@@ -121,8 +124,8 @@ def _world_of(run: PredictedSequence, folder: Path, result: Path) -> NDArray[np.
     Raises DataError where the result's cameras cannot be those of the sequence."""
     T_world = np.array([frame.T_world_camera for frame in run.frames])
     names = [frame.name for frame in run.frames]
-    T_source = np.array([np.loadtxt(folder / "pose" / f"{name}.txt") for name in names])
-    T_world_source: NDArray[np.float64] = T_world[0] @ np.linalg.inv(T_source[0])
+    T_source = true_cameras(folder, names)
+    T_world_source: NDArray[np.float64] = T_world[0] @ inverse_T(T_source[0])
     off = np.abs(T_world_source @ T_source - T_world).max(axis=(1, 2))
     if run.T_level_source is not None and off.max() > SAME_POSE:
         raise DataError(

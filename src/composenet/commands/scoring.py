@@ -9,9 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from composenet.errors import DataError
+from composenet.geometry.transform import inverse_T
 from composenet.metrics.clear import FrameErrors, frame_errors
 from composenet.metrics.evaluate import SequenceScores, evaluate_sequence, tracking_frames
 from composenet.metrics.report import Section, to_rich
@@ -87,9 +90,12 @@ def sequence_folders(data: Path) -> list[Path]:
     return folders
 
 
-def truth_of(folder: Path, sequence: RecordedSequence) -> SequenceTruth:
-    """The ground truth of a written sequence in the world of its frames. Raises DataError where it
-    is of more or fewer frames than the recording has."""
+def truth_of(
+    folder: Path, sequence: RecordedSequence, odometry_first: Frame | None = None
+) -> SequenceTruth:
+    """The ground truth of a written sequence in the world of its frames. odometry_first: the first
+    of them where odometry has placed them, which tells where its world lies. Raises DataError where
+    the truth is of more or fewer frames than the recording has."""
     truth = read_truth(folder)
     if sequence.recorded != len(truth.frames):
         raise DataError(
@@ -97,7 +103,15 @@ def truth_of(folder: Path, sequence: RecordedSequence) -> SequenceTruth:
             f"{len(truth.frames)}; frame N of the one would be scored by another of the other: "
             "write or copy the sequence again"
         )
-    return moved_truth(truth, sequence.T_level_source)
+    if odometry_first is None:
+        return moved_truth(truth, sequence.T_level_source)
+    T_source_camera = true_cameras(folder, [odometry_first.name])[0]
+    return moved_truth(truth, odometry_first.T_world_camera @ inverse_T(T_source_camera))
+
+
+def true_cameras(folder: Path, names: Sequence[str]) -> NDArray[np.float64]:
+    """(N, 4, 4) poses of frames of a written sequence, by name."""
+    return np.array([np.loadtxt(folder / "pose" / f"{name}.txt") for name in names])
 
 
 def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTruth:

@@ -63,7 +63,7 @@ def track_recording(
     for line in told:
         warn(console, line)
     with held(out), writer, _interruptible() as stop, progress_bar(console) as progress:
-        writer.warn_of_recording(told)
+        writer.warn_of_recording(told, sequence.skipped_indices)
         name, count = sequence.name, len(sequence)
 
         def write(frame: Frame, result: FrameResult) -> None:
@@ -81,7 +81,7 @@ def track_recording(
             failure = _track_frames(again, back, count, tracker, _leave, progress, stop)
             tracks = tracks if stop or failure else tracker.tracks()
         progress.update(progress.task_ids[-1], note="writing meshes and report")
-        writer.warn_of_recording([*sequence.warnings, *notes])
+        writer.warn_of_recording([*sequence.warnings, *notes], sequence.skipped_indices)
         run = writer.finish(tracks, complete=not stop and failure is None)
     for line in run.warnings:
         if line not in told:

@@ -12,14 +12,15 @@ from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import WAYS, ScoredSequence, score_tracks, truth_of
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker, select_device
 from composenet.records import Frame, SequenceTruth
-from composenet.sequences import open_sequence
+from composenet.sequences import SequenceOptions, open_sequence
 
 
 def score_variants(
-    folder: Path, variants: Sequence[str], *, weights: Path, device: str
+    folder: Path, variants: Sequence[str], *, weights: Path, device: str, odometry: bool = False
 ) -> dict[str, ScoredSequence]:
     """Track one sequence with several variants, which share what they see alike, and score each.
-    Ground truth is read by the scorer only.
+    Ground truth is read by the scorer only. odometry: without the recording's poses, as `track
+    --odometry` does; only where that world lies is taken from the true pose, of its first frame.
 
     One compute thread: sums are then taken in the same order on every machine.
     """
@@ -29,7 +30,7 @@ def score_variants(
     eyes = load_tracker(weights, device=device)
     trackers = {variant: eyes.restart(**WAYS[variant]) for variant in variants}
     results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
-    sequence = open_sequence(folder)
+    sequence = open_sequence(folder, options=SequenceOptions(odometry=odometry))
     frames = list(sequence)
     seconds = {variant: np.zeros(len(frames)) for variant in variants}
 
@@ -46,7 +47,7 @@ def score_variants(
             tracker.turn_back()
         for place in reversed(range(len(frames))):
             follow(place, twice)
-    truth = truth_of(folder, sequence)
+    truth = truth_of(folder, sequence, frames[0] if odometry else None)
     return {
         variant: _score(truth, frames, tracker, results[variant], seconds[variant].tolist())
         for variant, tracker in trackers.items()
@@ -68,7 +69,7 @@ def _score(
         tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
     shown = {frame.index: frame for frame in frames}
-    every = range(len(truth.frames))  # frames that could not be read count as seen by nobody
+    every = range(len(truth.frames))  # frames that could not be used count as seen by nobody
     return score_tracks(
         truth,
         [tracked.get(i, ()) for i in every],
@@ -79,6 +80,7 @@ def _score(
     )
 
 
-def variant_cache(out: Path, weights: Path, device: str) -> ScoreCache:
+def variant_cache(out: Path, weights: Path, device: str, odometry: bool = False) -> ScoreCache:
     """Where the variants' scores are kept."""
-    return ScoreCache(out / "sequences", [__name__], weights, str(select_device(device)))
+    options = (str(select_device(device)), odometry)
+    return ScoreCache(out / "sequences", [__name__], weights, *options)

@@ -40,8 +40,8 @@ class RecordedSequence:
 
     name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
     where every frame is in its camera's own levelled frame. own_poses: whether the poses are the
-    recording's, not those of odometry. T_level_source: (4, 4), maps the world of the poses to the
-    levelled one (identity without poses; odometry's world is levelled by the first frame alone).
+    recording's, not those of odometry. T_level_source: (4, 4), maps the world of the poses (with
+    odometry that of the first frame) to the levelled one; identity without poses.
     Iterate as often as wanted; frames come in order,
     `Frame.index` counts the recording's frames, skipped ones included.
     """
@@ -133,6 +133,11 @@ class RecordedSequence:
     def skipped(self) -> list[tuple[str, str]]:
         """(frame name, reason) of every frame left out so far, in order."""
         return [self._skipped[index] for index in sorted(self._skipped)]
+
+    @property
+    def skipped_indices(self) -> tuple[int, ...]:
+        """`Frame.index` that each of these would have, in order."""
+        return tuple(sorted(self._skipped))
 
     @property
     def warnings(self) -> list[str]:
