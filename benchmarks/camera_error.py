@@ -16,6 +16,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from composenet.errors import DataError, SequenceError
 from composenet.geometry.transform import angle_between_deg, inverse_T
@@ -26,8 +27,8 @@ from composenet.sequences import Odometry, RecordedSequence, open_sequence
 
 @dataclass(frozen=True)
 class CameraErrors:
-    """Of one recording. cm, degrees: (N,) of the frames where the camera was not lost, in order;
-    seconds: (M,) of all frames."""
+    """Of one recording: (N,) of all frames, in order. cm, degrees: infinite where the camera was
+    lost."""
 
     name: str
     cm: FloatArray
@@ -35,16 +36,21 @@ class CameraErrors:
     seconds: FloatArray
 
     @property
-    def row(self) -> dict[str, float | str]:
-        """For the table."""
+    def found(self) -> NDArray[np.bool_]:
+        """(N,) where the camera was not lost."""
+        return np.isfinite(self.cm)
+
+    @property
+    def row(self) -> dict[str, float | str | None]:
+        """For the table; errors are of the frames where the camera was not lost."""
         return {
             "recording": self.name,
-            "frames": len(self.seconds),
-            "lost": len(self.seconds) - len(self.cm),
-            "error_cm_median": round(float(np.median(self.cm)), 1),
-            "error_cm_max": round(float(self.cm.max()), 1),
-            "error_cm_end": round(float(self.cm[-1]), 1),
-            "error_deg_median": round(float(np.median(self.degrees)), 2),
+            "frames": len(self.cm),
+            "lost": int((~self.found).sum()),
+            "error_cm_median": round(float(np.median(self.cm[self.found])), 1),
+            "error_cm_max": round(float(self.cm[self.found].max()), 1),
+            "error_cm_end": round(float(self.cm[-1]), 1) if self.found[-1] else None,
+            "error_deg_median": round(float(np.median(self.degrees[self.found])), 2),
             "seconds_per_frame_median": round(float(np.median(self.seconds)), 3),
         }
 
@@ -58,13 +64,15 @@ def camera_errors(sequence: RecordedSequence) -> CameraErrors:
         found = odometry(frame.depth_m, frame.camera)
         seconds.append(time.perf_counter() - start)
         if found is None:
+            cm.append(np.inf)
+            degrees.append(np.inf)
             continue
         if T_found_true is None:
             T_found_true = found @ inverse_T(frame.T_world_camera)
         true = T_found_true @ frame.T_world_camera
         cm.append(100 * np.linalg.norm(found[:3, 3] - true[:3, 3]))
         degrees.append(angle_between_deg(found[:3, :3], true[:3, :3]))
-    if not cm:
+    if T_found_true is None:
         raise DataError(f"{sequence.name}: odometry found no camera at all in it")
     return CameraErrors(sequence.name, np.array(cm), np.array(degrees), np.array(seconds))
 
@@ -86,19 +94,21 @@ def opened(path: Path) -> list[RecordedSequence]:
 def main(
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | None = None
 ) -> None:
-    """Print the errors of each recording and of all."""
+    """Print the errors of each recording and of all: medians of the frames where the camera was not
+    lost, shares of all."""
     found = []
     for sequence in (one for path in recordings for one in opened(path)):
         found.append(camera_errors(sequence))
         print(*(f"{name} {value} " for name, value in found[-1].row.items()), flush=True)
     cm = np.concatenate([one.cm for one in found])
     ends = np.array([one.cm[-1] for one in found])
+    degrees, there = np.concatenate([one.degrees for one in found]), np.isfinite(cm)
     overall = {
         "recordings": len(found),
-        "frames": sum(len(one.seconds) for one in found),
-        "lost": sum(len(one.seconds) - len(one.cm) for one in found),
-        "error_cm_median": round(float(np.median(cm)), 1),
-        "error_deg_median": round(float(np.median(np.concatenate([f.degrees for f in found]))), 2),
+        "frames": len(cm),
+        "lost": int((~there).sum()),
+        "error_cm_median": round(float(np.median(cm[there])), 1),
+        "error_deg_median": round(float(np.median(degrees[there])), 2),
         "frames_within_5_cm": round(100 * float((cm < 5).mean()), 1),
         "frames_within_25_cm": round(100 * float((cm < 25).mean()), 1),
         "ends_within_5_cm": round(100 * float((ends < 5).mean()), 1),

@@ -1,8 +1,8 @@
 """Two pictures of an evaluation, and their numbers: is a confidence right as often as it says, and
 do objects that are completed better track better?
 
-python benchmarks/figures.py SCORES --data DATA [--variant full] [--out docs/images]
-    [--numbers benchmarks/results/figures.json]
+python benchmarks/figures.py SCORES --data DATA [--variant full] [--out SCORES]
+    [--numbers SCORES/figures.json]
 
 SCORES is the --out folder of `composenet eval --data DATA`. Open only folders that you trust: what
 it keeps of each sequence is a pickle.
@@ -61,10 +61,11 @@ def main(
     scores: Annotated[Path, tyro.conf.Positional],
     data: Path,
     variant: str = "full",
-    out: Path = Path("docs/images"),
-    numbers: Path = Path("benchmarks/results/figures.json"),
+    out: Path | None = None,
+    numbers: Path | None = None,
 ) -> None:
     """Write calibration.png and mota_completion.png to `out`, and their numbers."""
+    out, numbers = out or scores, numbers or scores / "figures.json"
     matplotlib.use("Agg")
     run, scored = read_scores(scores, sequence_folders(data), variant)
     if not any(item.completions for item in scored.values()):

@@ -2,7 +2,7 @@
 picture of the frames in which they differ most.
 
 python benchmarks/gains.py SCORES --data DATA [--one full] [--other no-compl]
-    [--image docs/images/completion_gain.jpg] [--numbers benchmarks/results/completion_gain.json]
+    [--image SCORES/gain.jpg] [--numbers SCORES/gain.json]
 
 SCORES is the --out folder of `composenet eval` or `composenet bench` over DATA, with both variants.
 Open only folders that you trust: what it keeps of each sequence is a pickle.
@@ -188,10 +188,11 @@ def main(
     data: Path,
     one: str = "full",
     other: str = "no-compl",
-    image: Path = Path("docs/images/completion_gain.jpg"),
-    numbers: Path = Path("benchmarks/results/completion_gain.json"),
+    image: Path | None = None,
+    numbers: Path | None = None,
 ) -> None:
     """Write the picture and the numbers."""
+    image, numbers = image or scores / "gain.jpg", numbers or scores / "gain.json"
     folders = sequence_folders(data)
     run, first = read_scores(scores, folders, one)
     _, second = read_scores(scores, folders, other)

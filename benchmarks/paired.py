@@ -37,13 +37,14 @@ def main(
         run, kept = read_scores(folder, folders, variant)
         motas.append({path: 100 * item.scores.clear.mota for path, item in kept.items()})
         mean, error = difference(motas[-1], motas[0])
-        ahead = {"mota_minus_first": round(mean, 2), "standard_error": round(error, 2)}
+        told = {"mota_minus_first": mean, "standard_error": error}
+        ahead = {key: round(v, 2) if np.isfinite(v) else None for key, v in told.items()}
         name = folder.name if folder.name not in rows else str(folder)
         rows[name] = run | {"variants": {variant: run["variants"][variant] | ahead}}
         print(f"{name}: MOTA {mean:+.2f}, standard error {error:.2f}")
     command = f"python benchmarks/paired.py {' '.join(map(str, scores))} --data {data}"
     info = RunInfo(data.name, 0, f"{command} --variant {variant}")
-    numbers.write_text(json.dumps(asdict(info) | {"runs": rows}, indent=2) + "\n")
+    numbers.write_text(json.dumps(asdict(info) | {"runs": rows}, indent=2, allow_nan=False) + "\n")
 
 
 def difference(ours: Mapping[Path, float], first: Mapping[Path, float]) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """Who keeps an object's identity when it leaves the view and comes back, moved or not, and how MOTA
 goes with time.
 
-python benchmarks/returns.py SCORES --data DATA [--numbers benchmarks/results/returns.json]
-    [--image docs/images/returns.jpg] [--one full] [--other no-corr]
+python benchmarks/returns.py SCORES --data DATA [--numbers SCORES/returns.json]
+    [--image SCORES/returns.jpg] [--one full] [--other no-corr]
 
 SCORES is the --out folder of `composenet eval` or `composenet bench` over DATA: every row of its
 results.json is measured. The image shows objects that moved while away: as they were last seen and
@@ -54,12 +54,13 @@ class Case:
 def main(
     scores: Annotated[Path, tyro.conf.Positional],
     data: Path,
-    numbers: Path = Path("benchmarks/results/returns.json"),
-    image: Path = Path("docs/images/returns.jpg"),
+    numbers: Path | None = None,
+    image: Path | None = None,
     one: str = "full",
     other: str = "no-corr",
 ) -> None:
     """Print and write the numbers; draw the picture."""
+    image, numbers = image or scores / "returns.jpg", numbers or scores / "returns.json"
     folders = sequence_folders(data)
     run, first = read_scores(scores, folders, one)
     kept = {one: first, other: read_scores(scores, folders, other)[1]}

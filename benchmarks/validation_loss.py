@@ -17,6 +17,7 @@ import torch
 import tyro
 from rich.progress import track
 
+from composenet.errors import DataError
 from composenet.metrics.report import RunInfo
 from composenet.network.weights import default_weights, load_weights, weights_id
 from composenet.training.config import TrainingConfig
@@ -31,8 +32,14 @@ FRAMES = 4
 
 @torch.no_grad()
 def losses_of(weights: Path, batches: list[TrainingBatch], parts: Parts) -> np.ndarray:
-    """(B,) weighted sum of what these parts are trained for."""
+    """(B,) weighted sum of what these parts are trained for. Raises DataError for weights that want
+    other volumes than the batches hold."""
     network, model, _ = load_weights(weights)
+    if model.volume != TrainingConfig().model.volume:
+        raise DataError(
+            f"{weights}: made for other volumes than the shipped weights, so that losses do not "
+            "compare"
+        )
     config = TrainingConfig(model=model, parts=parts, max_crops=10)
     module = LossModule(config)
     module.network = network

@@ -85,6 +85,8 @@ def test_it_is_kept_while_the_camera_looks_elsewhere_and_forgotten_with_time() -
     assert is_free(space_after(*late, frames=longest), AT_THE_BOX).all()
     with pytest.raises(ConfigError, match="memory_frames"):
         from_dict({"memory_frames": 2**30}, VolumeConfig)
+    with pytest.raises(ConfigError, match="memory_reach_m"):
+        from_dict({"memory_reach_m": float("inf")}, VolumeConfig)
     assert not is_free(space_after(away), AT_THE_BOX).any()
 
 

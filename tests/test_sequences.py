@@ -16,7 +16,7 @@ from composenet.errors import ConfigError, SequenceError
 from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
 from composenet.records import Camera, Frame
-from composenet.sequences import SequenceOptions, open_sequence
+from composenet.sequences import SequenceOptions, checks, open_sequence
 from composenet.sequences.source import in_order
 from composenet.sequences.tum import nearest
 
@@ -723,10 +723,11 @@ def test_poses_that_are_none_are_refused(given) -> None:
         K.T,
         K / WIDTH,
         np.diag([3.0, 3.0, 1.0]) @ K,
+        K + 0.02 * K[0, 0] * np.eye(3, k=1),
         "K",
         None,
     ],
-    ids=["transposed", "shares", "of a larger image", "text", "none"],
+    ids=["transposed", "shares", "of a larger image", "skewed", "text", "none"],
 )
 def test_intrinsics_of_something_else_are_refused(given) -> None:
     with pytest.raises(SequenceError, match="intrinsics of a 24x18 camera: K is"):
@@ -747,6 +748,35 @@ def test_intrinsics_may_be_lists_and_are_the_cameras_own() -> None:
     np.testing.assert_array_equal(camera.K, K)
     np.testing.assert_array_equal(listed.K, K)
     assert listed.K.dtype == np.float64
+
+
+def turned(pan_deg: float, nod_deg: float, roll_deg: float) -> np.ndarray:
+    """(N, 4, 4) poses of a camera that is rolled and then looks round, in any world."""
+    swing = np.sin(np.linspace(0, 7, 30))
+    world = Rotation.from_euler("xyz", [0.3, 1.2, -0.8])
+    pan = Rotation.from_rotvec(np.outer(pan_deg * swing, (0, 0, 1)), degrees=True)
+    nod = Rotation.from_rotvec(np.outer(nod_deg * swing, (0, 1, 0)), degrees=True)
+    roll = Rotation.from_euler("z", roll_deg, degrees=True)
+    axes = (world * pan * nod * Rotation.from_matrix(AHEAD) * roll).as_matrix()
+    return np.stack([make_T(R, [0, 0, 0]) for R in axes])
+
+
+@pytest.mark.parametrize("roll_deg", [0, 90, 180, 270])
+def test_a_camera_held_sideways_is_told_of(roll_deg: float) -> None:
+    sideways = roll_deg in (90, 270)
+    assert len(checks.upright_notes(turned(40, 10, roll_deg))) == sideways
+    assert checks.upright_notes(turned(5, 5, roll_deg)) == []  # nobody can tell
+
+
+@pytest.mark.parametrize(("roll_deg", "gravity"), [(0, False), (90, False), (90, True)])
+def test_a_recording_held_sideways_is_told_of(tmp_path, roll_deg: float, gravity: bool) -> None:
+    write_plain(tmp_path)
+    if not gravity:
+        (tmp_path / "gravity-direction.txt").unlink()
+    for i, T in enumerate(turned(40, 10, roll_deg)[:: 30 // COUNT][:COUNT]):
+        save_text(tmp_path / f"pose/frame-{i}.txt", T)
+    told = any("held sideways" in line for line in open_sequence(tmp_path).warnings)
+    assert told == (roll_deg == 90 and not gravity)
 
 
 def test_names_with_digits_that_are_no_numbers_have_an_order() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 import validation_loss
 from validation_loss import main
 
+from composenet.errors import DataError
 from composenet.network.model import ComposeNet
 from composenet.network.weights import default_weights, load_weights, save_weights
 
@@ -31,3 +33,12 @@ def test_equal_weights_differ_by_nothing_and_others_by_what_they_lack(
     assert same == shipped | {"difference": 0.0, "standard_error": 0.0}
     assert worse["difference"] > 0.2 and worse["difference"] > 2 * worse["standard_error"]
     assert f"--parts {parts}" in written["command"]
+
+
+def test_weights_that_want_other_volumes_are_refused(tmp_path: Path) -> None:
+    network, config, _ = load_weights(default_weights())
+    coarse = replace(config, volume=replace(config.volume, voxel_size_m=0.08))
+    path = tmp_path / "coarse.safetensors"
+    save_weights(network, coarse, path)
+    with pytest.raises(DataError, match=r"coarse\.safetensors: made for other volumes"):
+        validation_loss.losses_of(path, [], "detector")

@@ -85,7 +85,8 @@ class Train:
     out: Path
     """folder for checkpoint.pt, weights.safetensors and logs"""
     config: Path | None = None
-    """JSON of training parameters, or `paper` for those of the paper; default: our own"""
+    """JSON of training parameters, or `paper` for those of the paper, `further` for learning on
+    from the shipped weights; default: our own"""
     max_minutes: Positive = 60.0
     """stop cleanly after this time"""
     max_steps: Count | None = None

@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass
 from composenet.errors import ConfigError
 from composenet.files import write_atomic
 
-_STRICT = ConfigDict(extra="forbid")
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]

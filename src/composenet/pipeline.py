@@ -78,8 +78,8 @@ class ObjectTracker:
 
     def __call__(self, frame: Frame) -> FrameResult:
         """Detect, complete, pose and associate the objects of the next frame. Raises SequenceError
-        for a frame that does not come after the one before. Warns, once, where the frames' world
-        seems not to have z up and its floor at z = 0."""
+        for a frame that does not come after the one before. Warns, once a process, where the
+        frames' world seems not to have z up and its floor at z = 0; `doubt` says so always."""
         result = self.follow(self.look(frame))
         if result.doubt:
             warnings.warn(result.doubt, stacklevel=2)

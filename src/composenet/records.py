@@ -103,10 +103,16 @@ class Camera:
         object.__setattr__(self, "K", K)
 
 
+_SKEW = 0.01
+"""Of the focal length; what is left of it in calibrations is not looked at."""
+
+
 def _possible(K: FloatArray, width: int, height: int) -> bool:
     """Whether K (3, 3) may be the intrinsics of an image of this size."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     if not np.isfinite(K).all() or not np.allclose(K[2], (0, 0, 1)):
+        return False
+    if abs(K[1, 0]) > _SKEW * fy or abs(K[0, 1]) > _SKEW * fx:
         return False
     focal_fits = 0.1 * width < min(fx, fy) and max(fx, fy) < 20 * width
     border = 0.02  # at the very border lies the middle of an image twice the size

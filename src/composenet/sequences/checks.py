@@ -41,6 +41,7 @@ _AXES = (
     "(a world that begins as the first camera's axes has not: composenet.level_camera turns it; "
     "from OpenGL or ARKit take T @ diag(1, -1, -1, 1); a camera that sees ceilings alone is right)"
 )
+_PANNED = 0.02  # mean directions lose so much of their length in turns of about 11 degrees
 _IN_MILLIMETRES = "are the poses in millimetres? Metres are expected"
 
 
@@ -200,6 +201,24 @@ def floor_notes(camera_centers: FloatArray) -> list[str]:
         f"the camera is {_metres(height_m)} above the lowest plane seen: the floor may not have "
         "been in view, the images may not be upright (gravity-direction.txt helps), or the scale "
         "of poses and depth differ"
+    ]
+
+
+def upright_notes(T_world_camera: FloatArray) -> list[str]:
+    """A note when a camera turned as one does that is held sideways and panned: about an axis that
+    runs across its images. Where the world came from what it sees, a wall was then taken for the
+    floor.
+
+    T_world_camera: (N, 4, 4), poses in any world.
+    """
+    steadiness = np.linalg.norm(T_world_camera[:, :3, :2].mean(axis=0), axis=0)
+    across, down = 1 - steadiness  # of the images' axes; 0: it never turned away
+    if down < _PANNED or across > down / 2:
+        return []
+    return [
+        "the camera turned about an axis across its images, as one that is held sideways does when "
+        "it looks round; if it was, the floor was sought in vain: write gravity-direction.txt, or "
+        "turn images and intrinsics upright (if it only nodded, all is well)"
     ]
 
 

@@ -1,10 +1,10 @@
 """The camera's way from its depth images alone, for recordings without poses.
 
-Each frame is aligned with a map of those before it: generalised ICP against the Gaussians of its
-cells (VGICP, Koide et al., ICRA 2021; the normal equations are small_gicp's, an optional extra),
-from coarse cells to fine. It begins from the last motion, from rest and from turns to either side,
-for hands turn a camera fast; the guess that leads nearest to the frame before is taken. What moves
-is outvoted by what rests, unless it fills the image.
+Each frame is aligned with a map of the hundred before it: generalised ICP against the Gaussians of
+its cells (VGICP, Koide et al., ICRA 2021; the normal equations are small_gicp's, an optional
+extra), from coarse cells to fine. It begins from the last motion, from rest and from turns to
+either side, for hands turn a camera fast; the guess that leads nearest to the frame before is
+taken. What moves is outvoted by what rests, unless it fills the image.
 
 Along a wall or the floor the surfaces say nothing, but the rims of half-filled cells do, and they
 lie. So a guess holds its place by a spring: weak against surfaces that face that way, strong

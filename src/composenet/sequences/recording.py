@@ -257,6 +257,8 @@ class RecordedSequence:
             T_level_near, notes = level_world(merged, up, self._source.gravity)
             self._notes += notes
             self._notes += checks.floor_notes(apply_T(T_level_near, T_all[:, :3, 3]))
+            if self._source.gravity is None:
+                self._notes += checks.upright_notes(T_all)
             self.T_level_source = T_level_near @ T_near_source
 
     def _read_depth_m(self, frame: SourceFrame, far_m: float | None = None) -> NDArray[np.float32]:
