@@ -502,6 +502,7 @@ def test_without_poses_it_is_scored_as_it_is_written(
     ours, theirs = numbers(scores)["full"], numbers(written)["predictions"]
     keys = ("counted", "tracked", "false_positives", "mota_pooled", "idf1", "hota")
     assert [ours[key] for key in keys] == [theirs[key] for key in keys]
+    assert ours["mota_pooled"] != 0
     assert run("eval", *options, "--weights", tiny_weights, "--out", tmp_path / "given") == 0
     assert numbers(tmp_path / "given")["full"]["counted"] == ours["counted"]
 

@@ -217,8 +217,9 @@ def upright_notes(T_world_camera: FloatArray) -> list[str]:
         return []
     return [
         "the camera turned about an axis across its images, as one that is held sideways does when "
-        "it looks round; if it was, the floor was sought in vain: write gravity-direction.txt, or "
-        "turn images and intrinsics upright (if it only nodded, all is well)"
+        "it looks round; if it was, the floor was sought in vain: turn images and intrinsics "
+        "upright, or write gravity-direction.txt (of no use with --odometry); if it only nodded, "
+        "all is well"
     ]
 
 
