@@ -61,7 +61,7 @@ def camera_errors(sequence: RecordedSequence) -> CameraErrors:
     cm, degrees, seconds = [], [], []
     for frame in sequence:
         start = time.perf_counter()
-        found = odometry(frame.depth_m, frame.camera)
+        found = odometry(frame.depth_m, frame.camera, frame.color)
         seconds.append(time.perf_counter() - start)
         if found is None:
             cm.append(np.inf)

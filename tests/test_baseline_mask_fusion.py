@@ -33,7 +33,6 @@ from composenet.baselines.photometric_icp import (
     align,
     geometric_row,
     increment,
-    photometric_row,
     turned,
 )
 from composenet.baselines.records import Cameras
@@ -42,6 +41,7 @@ from composenet.baselines.surfels import UNSTABLE_FRAMES, SurfelMap
 from composenet.baselines.true_masks import TrueMasks
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import back_project, pixel_rays
+from composenet.geometry.photometric import photometric_row
 from composenet.geometry.transform import angle_between_deg, apply_T, inverse_T, make_T, rotation_z
 from composenet.records import TrackedObject, TrackState
 from composenet.sequences import open_sequence

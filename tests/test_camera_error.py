@@ -34,7 +34,9 @@ def wrong_by(*metres: float | None):
         def __init__(self) -> None:
             self._count = 0
 
-        def __call__(self, depth_m: np.ndarray, camera: Camera) -> np.ndarray | None:
+        def __call__(
+            self, depth_m: np.ndarray, camera: Camera, color: np.ndarray | None
+        ) -> np.ndarray | None:
             off, x = metres[self._count], 0.1 * self._count
             self._count += 1
             return None if off is None else OWN_WORLD @ make_T(np.eye(3), [x + off, 0, 0])

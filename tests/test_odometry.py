@@ -15,6 +15,7 @@ import composenet
 from baseline_scenes import CAMERA, cabinet, camera_pose, look, pillar
 from composenet import cli
 from composenet.errors import ConfigError, SequenceError
+from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import angle_between_deg, inverse_T, make_T, rotation_z
 from composenet.predictions import read_predictions
 from composenet.records import Camera, Frame
@@ -118,6 +119,50 @@ def test_bare_walls_do_not_carry_it_away() -> None:
         T = odometry(frame.depth_m, frame.camera)
         assert T is not None
         assert_same(T, from_first(frame, frames[0]), metres=0.12, degrees=1)
+
+
+def painted(color: bool) -> float:
+    """How far off, in metres, the camera ends that moves by 60 cm along a painted wall."""
+    rays, odometry, poses = pixel_rays(CAMERA), Odometry(), []
+    for i in range(13):
+        right = 0.05 * i
+        depth_m = np.full(rays.shape[:2], 2.0, np.float32)
+        x, y = 2 * rays[..., 0] + right, 2 * rays[..., 1]
+        paint = 0.5 + 0.2 * np.sin(4 * x) * np.cos(3 * y) + 0.1 * np.sin(11 * x + 5 * y)
+        image = np.repeat(np.uint8(255 * paint)[..., None], 3, axis=2)
+        poses.append(odometry(depth_m, CAMERA, image if color else None))
+    assert all(T is not None for T in poses)
+    return float(np.linalg.norm((inverse_T(poses[0]) @ poses[-1])[:3, 3] - [right, 0, 0]))
+
+
+def test_a_bare_wall_is_followed_by_its_colour() -> None:
+    assert painted(color=False) > 0.4
+    assert painted(color=True) < 0.05
+
+
+def test_colour_helps_where_surfaces_say_little() -> None:
+    """A camera of the generator that surfaces alone put 80 cm off."""
+    scene, odometry, poses = generate_scene("val", 242), Odometry(), []
+    frames = [scene.render(i).frame for i in range(30)]
+    for frame in frames:
+        poses.append(odometry(frame.depth_m, frame.camera, frame.color))
+        assert poses[-1] is not None
+    assert_same(inverse_T(poses[0]) @ poses[-1], from_first(frames[-1], frames[0]), 0.05, 1)
+
+
+def test_a_frame_without_colour_is_followed_by_its_surfaces() -> None:
+    odometry = Odometry()
+    poses = []
+    for i, frame in enumerate(SWAY):
+        noise = np.random.default_rng(i).integers(0, 255, (*frame.depth_m.shape, 3))
+        poses.append(odometry(frame.depth_m, CAMERA, noise.astype(np.uint8) if i % 3 else None))
+        assert poses[-1] is not None  # noise is no likeness, and moves nothing far
+        assert_same(inverse_T(poses[0]) @ poses[-1], from_first(frame, SWAY[0]), metres=0.03)
+
+
+def test_colour_of_another_size_is_refused() -> None:
+    with pytest.raises(SequenceError, match=r"odometry: color is uint8 of shape \(9, 9, 3\)"):
+        Odometry()(SWAY[0].depth_m, CAMERA, np.zeros((9, 9, 3), np.uint8))
 
 
 def test_a_lost_camera_is_told_and_found_again() -> None:

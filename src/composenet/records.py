@@ -157,13 +157,7 @@ class Frame:
         object.__setattr__(self, "depth_m", usable_depth(what, self.depth_m, self.camera))
         object.__setattr__(self, "T_world_camera", _usable_pose(what, self.T_world_camera))
         if self.color is not None:
-            color, expected = np.asarray(self.color), (self.camera.height, self.camera.width, 3)
-            if color.shape != expected or color.dtype != np.uint8:
-                raise SequenceError(
-                    f"{what}: color is {color.dtype} of shape {color.shape}; expected uint8 of "
-                    f"shape {expected}, or None"
-                )
-            object.__setattr__(self, "color", color)
+            object.__setattr__(self, "color", usable_color(what, self.color, self.camera))
 
 
 def usable_depth(what: str, depth_m: FloatArray, camera: Camera) -> FloatArray:
@@ -185,6 +179,17 @@ def usable_depth(what: str, depth_m: FloatArray, camera: Camera) -> FloatArray:
             "expected metres, divide millimetres by 1000"
         )
     return np.where(measured, depth, 0).astype(depth.dtype)
+
+
+def usable_color(what: str, color: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
+    """An image (H, W, 3) uint8, as it is. what: it is of. Raises SequenceError for another."""
+    given, expected = np.asarray(color), (camera.height, camera.width, 3)
+    if given.shape != expected or given.dtype != np.uint8:
+        raise SequenceError(
+            f"{what}: color is {given.dtype} of shape {given.shape}; expected uint8 of "
+            f"shape {expected}, or None"
+        )
+    return given
 
 
 def _usable_time(what: str, timestamp_s: float) -> float:

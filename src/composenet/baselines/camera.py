@@ -22,7 +22,8 @@ class OdometryCamera:
     def __call__(self, frame: Frame, movable: NDArray[np.bool_]) -> FloatArray:
         """(4, 4) pose of the next frame; the last one where odometry loses the camera. movable:
         (H, W) bool, pixels not to be trusted."""
-        found = self._odometry(np.where(movable, 0, frame.depth_m), frame.camera)
+        depth_m = np.where(movable, 0, frame.depth_m)
+        found = self._odometry(depth_m, frame.camera, frame.color)
         if self._T_world_own is None:
             self._T_world_camera = frame.T_world_camera
         if found is not None:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.geometry.camera import back_project, subsample_camera
+from composenet.geometry.photometric import brightness, halved
 from composenet.records import Camera, FloatArray, Frame
 
 FAR_M = 6.0
 """depth beyond this is dropped"""
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _RADIUS_PX, _SIGMA_PX = 3, 2.25  # of the filter; ElasticFusion's at 640x480: 6, 4.5
 _SIGMA_M, _SIGMA_PER_M2 = 0.01, 0.003  # the second times depth squared, as noise grows
 _STEP = 0.05  # of the depth: neighbours farther apart are not of one surface
@@ -61,7 +61,7 @@ def intensity_of(frame: Frame) -> NDArray[np.float32]:
     """(H, W) brightness in 0..1; NaN for a frame without colour."""
     if frame.color is None:
         return np.full(frame.depth_m.shape, np.nan, np.float32)
-    return np.asarray(frame.color @ LUMA / 255, np.float32)
+    return brightness(frame.color)
 
 
 def pyramid(maps: Maps, levels: int) -> list[Maps]:
@@ -136,23 +136,6 @@ def _gathered(others, centres, narrowness, reach, near, total, weights):
         weight = near * power if others[i] > 0 and abs(away) <= reach[i] else np.float32(0)
         total[i] += weight * away
         weights[i] += weight
-
-
-@numba.njit(cache=True, nogil=True)
-def halved(image):
-    """(ceil(H / 2), ceil(W / 2)) every other pixel of the image smoothed by 1-2-1 both ways."""
-    height, width = image.shape
-    out = np.empty(((height + 1) // 2, (width + 1) // 2), image.dtype)
-    for v in range(out.shape[0]):
-        above, below = max(2 * v - 1, 0), min(2 * v + 1, height - 1)
-        for u in range(out.shape[1]):
-            total = 0.0
-            for k in range(3):
-                x = min(max(2 * u + k - 1, 0), width - 1)
-                column = 0.0 + image[above, x] + 2 * image[2 * v, x] + image[below, x]
-                total += np.float32(column / 4) * (2 if k == 1 else 1)
-            out[v, u] = total / 4
-    return out
 
 
 @numba.njit(cache=True, nogil=True)

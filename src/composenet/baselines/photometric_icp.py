@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from composenet.baselines.frame_maps import Maps, halved, pyramid
+from composenet.baselines.frame_maps import Maps, pyramid
 from composenet.geometry.camera import subsample_camera
+from composenet.geometry.photometric import (
+    add_row,
+    halved,
+    mirrored,
+    move_into,
+    photometric_row,
+)
 from composenet.geometry.transform import make_T
 from composenet.records import Camera, FloatArray
 
@@ -115,54 +122,6 @@ def geometric_row(point, normal, measured, row):
     row[4] = measured[2] * normal[0] - measured[0] * normal[2]
     row[5] = measured[0] * normal[1] - measured[1] * normal[0]
     return residual
-
-
-@numba.njit(cache=True, nogil=True)
-def photometric_row(point, light, image, fx, fy, cx, cy, row):
-    """Brightness of the image (H, W) where a point (3,) of the model projects, less the point's
-    own; row (6,) becomes its derivative by `increment`. NaN outside the image."""
-    height, width = image.shape
-    u, v = fx * point[0] / point[2] + cx, fy * point[1] / point[2] + cy
-    if not (0 <= u < width - 1 and 0 <= v < height - 1):
-        return np.nan
-    x, y = int(u), int(v)
-    a, b = u - x, v - y
-    p, q, r, s = image[y, x], image[y, x + 1], image[y + 1, x], image[y + 1, x + 1]
-    gu = ((q - p) * (1 - b) + (s - r) * b) * fx / point[2]
-    gv = ((r - p) * (1 - a) + (s - q) * a) * fy / point[2]
-    row[0] = gu
-    row[1] = gv
-    row[2] = -(gu * point[0] + gv * point[1]) / point[2]
-    row[3] = point[1] * row[2] - point[2] * row[1]
-    row[4] = point[2] * row[0] - point[0] * row[2]
-    row[5] = point[0] * row[1] - point[1] * row[0]
-    return (p * (1 - a) + q * a) * (1 - b) + (r * (1 - a) + s * a) * b - light
-
-
-@numba.njit(cache=True, nogil=True)
-def add_row(A, b, row, residual, weight):
-    """One residual into J^T W J (6, 6), of which only the upper half, and J^T W r (6,), in place:
-    `mirrored` when all are in."""
-    for i in range(6):
-        weighted = weight * row[i]
-        for j in range(i, 6):
-            A[i, j] += weighted * row[j]
-        b[i] += weighted * residual
-
-
-@numba.njit(cache=True, nogil=True)
-def mirrored(A):
-    """The whole of a symmetric matrix whose upper half is given."""
-    return A + A.T - np.diag(np.diag(A))
-
-
-@numba.njit(cache=True, nogil=True)
-def move_into(T, vector, shift, out):
-    """out (3,) becomes the vector (3,) turned by T (4, 4) and, as far as shift says, moved."""
-    for k in range(3):
-        out[k] = shift * T[k, 3]
-        for j in range(3):
-            out[k] += T[k, j] * vector[j]
 
 
 @numba.njit(cache=True, nogil=True)

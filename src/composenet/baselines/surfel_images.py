@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from composenet.baselines.frame_maps import LUMA
+from composenet.geometry.photometric import LUMA
 
 POINT, NORMAL, COLOR, RADIUS, CONFIDENCE, N_VALUES = 0, 3, 6, 9, 10, 11
 """First columns, and their number, of a table of surfels (N, 11) float32, in the body's axes."""

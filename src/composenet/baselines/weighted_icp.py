@@ -17,13 +17,10 @@ from composenet.baselines.photometric_icp import (
     ITERATIONS,
     MAX_DISTANCE_M,
     MIN_PAIRS,
-    add_row,
     geometric_row,
     increment,
-    mirrored,
-    move_into,
-    photometric_row,
 )
+from composenet.geometry.photometric import add_row, mirrored, move_into, photometric_row
 from composenet.records import FloatArray
 
 MIN_COSINE = 0.8

@@ -1,4 +1,4 @@
-"""The camera's way from its depth images alone, for recordings without poses.
+"""The camera's way from its images, for recordings without poses.
 
 Each frame is aligned with a map of the hundred before it: generalised ICP against the Gaussians of
 its cells (VGICP, Koide et al., ICRA 2021; the normal equations are small_gicp's, an optional
@@ -9,16 +9,20 @@ taken. What moves is outvoted by what rests, unless it fills the image.
 Along a wall or the floor the surfaces say nothing, but the rims of half-filled cells do, and they
 lie. So a guess holds its place by a spring: weak against surfaces that face that way, strong
 against rims, and nearly none with the finest cells.
+
+Where there is colour, brightness tells what surfaces do not (`brightness`): the pose that surfaces
+give is bettered by both together, and so is one that brightness finds alone. Of the three the one
+is taken that leads near to the frame before, and looks like it.
 """
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import (
@@ -26,11 +30,17 @@ from composenet.geometry.transform import (
     apply_T,
     inverse_T,
     make_T,
-    rigid_T,
     rotation_z,
 )
 from composenet.gicp import small_gicp
-from composenet.records import Camera, FloatArray, usable_depth
+from composenet.records import Camera, FloatArray, usable_color, usable_depth
+from composenet.sequences.brightness import (
+    LEVELS,
+    Equations,
+    LitPair,
+    LitView,
+    moved,
+)
 from composenet.sequences.leveling import CameraLeveler, surface_of
 
 _CELLS_M = (0.4, 0.2, 0.1)
@@ -50,13 +60,18 @@ _SAME_M, _SAME_DEG = 0.01, 0.5
 _LOST_SHARE = 0.3
 _MAX_STEP_M, _MAX_TURN_DEG = 1.0, 45.0  # farther from one frame to the next no hand moves
 _BETTER_SHARE = 0.03  # a later guess must lead that much nearer
+_BRIGHTNESS = 3.0  # squared, of a pixel, against a squared metre of a partner; see `_bettered`
+_LIT_SPRING = 0.1  # as above, while brightness leads
+_LIKENESS = 0.2  # a share that e times the misfit weighs up
+_MISFITS = (0.005, 0.15)  # beyond these nothing is told
+_CLEARLY = 0.05  # so much more a pose by brightness alone must have
 
 
 class Odometry:
     """Camera poses of one recording or live camera, frame by frame, nothing from the future.
 
     >>> odometry = Odometry()
-    >>> T_world_camera = odometry(depth_m, camera)
+    >>> T_world_camera = odometry(depth_m, camera, color)
     """
 
     def __init__(self) -> None:
@@ -65,12 +80,16 @@ class Odometry:
         self._T: NDArray[np.float64] = np.eye(4)
         self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
         self._before: cKDTree | None = None  # points of the last frame that was placed
+        self._lit_before: LitView | None = None
 
-    def __call__(self, depth_m: FloatArray, camera: Camera) -> NDArray[np.float64] | None:
+    def __call__(
+        self, depth_m: FloatArray, camera: Camera, color: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.float64] | None:
         """`T_world_camera` (4, 4) of the next frame; None where too little of it agrees with what
         was seen before. The world is levelled as the first frame shows it: z up, the floor it
         sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving thing should not
-        be trusted. Raises SequenceError where it is not in metres or not the camera's."""
+        be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, for what surfaces do not
+        tell. Raises SequenceError where they are not such images of the camera."""
         depth_m = usable_depth("odometry", depth_m, camera)
         points = back_project(depth_m, camera)[(depth_m > 0) & (depth_m < _FAR_M)]
         if len(points) < _MIN_POINTS:
@@ -81,10 +100,16 @@ class Odometry:
         points = cloud.points()[:, :3]
         if len(points) < _MIN_POINTS:
             return None
+        lit = None
+        if color is not None:
+            color = usable_color("odometry", color, camera)
+            lit = LitView(np.where(depth_m < _FAR_M, depth_m, 0), color, camera)
         if self._before is None:
             _, self._T = CameraLeveler().level(surface_of(depth_m, camera))
         else:
             T = self._aligned(cloud, points)
+            if lit is not None and self._lit_before is not None:
+                T = self._aligned_in_light(cloud, points, LitPair(self._lit_before, lit), T)
             self._motion = np.eye(4) if T is None else inverse_T(self._T) @ T
             if T is None:
                 return None
@@ -92,18 +117,16 @@ class Odometry:
         for cells in self._maps:
             cells.insert(cloud, self._T)
         self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
+        self._lit_before = lit
         return self._T.copy()
 
     def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
         """The best guess's pose, if it is good enough."""
-        R, t = self._T[:3, :3], self._T[:3, 3]
-        turns = [make_T(rotation_z(angle) @ R, t) for angle in np.radians(_TURNS_DEG)]
         best, share = self._T, _LOST_SHARE - _BETTER_SHARE
         poses: list[NDArray[np.float64]] = []
-        moves = not np.array_equal(self._motion, np.eye(4))
-        for guess in (*([self._T @ self._motion] if moves else []), self._T, *turns):
+        for guess in (*self._carried_on(), *self._turned()):
             T = self._refined(cloud, guess)
-            if not _alike(T, self._T, _MAX_STEP_M, _MAX_TURN_DEG):
+            if not self._within_reach(T):
                 continue
             near = self._near_share(apply_T(T, points))
             if near > share + _BETTER_SHARE:
@@ -114,23 +137,91 @@ class Odometry:
             poses.append(T)
         return best if share >= _LOST_SHARE else None
 
+    def _carried_on(self) -> list[NDArray[np.float64]]:
+        """Guesses: the last motion, if there was one, and rest."""
+        moves = not np.array_equal(self._motion, np.eye(4))
+        return [*([self._T @ self._motion] if moves else []), self._T]
+
+    def _turned(self) -> list[NDArray[np.float64]]:
+        R, t = self._T[:3, :3], self._T[:3, 3]
+        return [make_T(rotation_z(angle) @ R, t) for angle in np.radians(_TURNS_DEG)]
+
+    def _within_reach(self, T: FloatArray) -> bool:
+        return _alike(T, self._T, _MAX_STEP_M, _MAX_TURN_DEG)
+
+    def _aligned_in_light(
+        self,
+        cloud: Any,
+        points: FloatArray,
+        images: LitPair,
+        by_surface: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64] | None:
+        """The best of the pose by surfaces, if there is one, that pose bettered by brightness, and
+        one that was sought by brightness first."""
+        T_before_world = inverse_T(self._T)
+
+        def unlike(T: FloatArray) -> float:
+            return images.misfit(T_before_world @ T)
+
+        def worth(T: FloatArray) -> float:
+            near = self._near_share(apply_T(T, points))
+            if near < _LOST_SHARE or not self._within_reach(T):
+                return -np.inf
+            return near - _LIKENESS * float(np.log(np.clip(unlike(T), *_MISFITS)))
+
+        best, most = by_surface, -np.inf
+        if by_surface is not None:
+            both = (by_surface, self._bettered(cloud, images, by_surface))
+            most, best = max(((worth(T), T) for T in both), key=itemgetter(0))
+        sure = best is not None and self._near_share(apply_T(best, points)) > _GOOD_SHARE
+        guesses = self._carried_on() if sure else [*self._carried_on(), *self._turned()]
+        by_light = [self._T @ images.guessed(T_before_world @ guess) for guess in guesses]
+        least, likest = min(((unlike(T), T) for T in by_light), key=itemgetter(0))
+        if np.isfinite(least):
+            bettered = self._bettered(cloud, images, likest)
+            if worth(bettered) > most + _CLEARLY:
+                best = bettered
+        return best
+
+    def _bettered(
+        self, cloud: Any, images: LitPair, T_start: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The pose after Gauss-Newton by the finest map and brightness, from small images on.
+        Brightness weighs little, so that it moves the camera where surfaces let it: it is less
+        exact than they are where colour is not registered well."""
+        T = T_start
+        for level in reversed(range(LEVELS)):
+            for _ in range(_ITERATIONS):
+                at_T = self._equations(-1, cloud, T)
+                lit = images.equations(inverse_T(self._T) @ T, level)
+                if at_T.num_inliers < _MIN_POINTS or not lit.pixels:
+                    break
+                step = _step(at_T, T, T_start, _LIT_SPRING, lit)
+                T = moved(T, step)
+                if np.abs(step).max() < _DONE:
+                    break
+        return T
+
+    def _equations(self, size: int, cloud: Any, T: FloatArray) -> Any:
+        """small_gicp's normal equations at a pose, by the map of cells of that size."""
+        return small_gicp().align(
+            self._maps[size],
+            cloud,
+            init_T_target_source=T,
+            max_correspondence_distance=_REACH_CELLS * _CELLS_M[size],
+            max_iterations=1,
+        )
+
     def _refined(self, cloud: Any, T_guess: NDArray[np.float64]) -> NDArray[np.float64]:
         """The pose after Gauss-Newton with each map, coarse to fine."""
         T = T_guess
-        for cell_m, spring, cells in zip(_CELLS_M, _SPRINGS, self._maps, strict=True):
+        for size, spring in enumerate(_SPRINGS):
             for _ in range(_ITERATIONS):
-                at_T = small_gicp().align(
-                    cells,
-                    cloud,
-                    init_T_target_source=T,
-                    max_correspondence_distance=_REACH_CELLS * cell_m,
-                    max_iterations=1,
-                )
+                at_T = self._equations(size, cloud, T)
                 if at_T.num_inliers < _MIN_POINTS:
                     break
                 step = _step(at_T, T, T_guess, spring)
-                # Errors of rounding would double from frame to frame.
-                T = rigid_T(T @ make_T(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]))
+                T = moved(T, step)
                 if np.abs(step).max() < _DONE:
                     break
         return T
@@ -141,11 +232,18 @@ class Odometry:
         return float(np.isfinite(distance_m).mean())
 
 
-def _step(at_T: Any, T: FloatArray, T_guess: FloatArray, spring: float) -> NDArray[np.float64]:
-    """(6,) rotation vector and translation, in the camera's axes, that best fits the surfaces and
-    the spring. at_T: small_gicp's normal equations at the pose T."""
+def _step(
+    at_T: Any, T: FloatArray, T_guess: FloatArray, spring: float, lit: Equations | None = None
+) -> NDArray[np.float64]:
+    """(6,) rotation vector and translation, in the camera's axes, that best fits the surfaces, the
+    spring and brightness. at_T: small_gicp's normal equations at the pose T; lit: those of
+    brightness."""
     stiffness = spring * at_T.num_inliers
     H, b = at_T.H.copy(), -at_T.b
+    if lit is not None:
+        weight = _BRIGHTNESS * at_T.num_inliers / lit.pixels
+        H += weight * lit.H
+        b -= weight * lit.b
     H[3:, 3:] += stiffness * np.eye(3)
     b[3:] += stiffness * T[:3, :3].T @ (T_guess[:3, 3] - T[:3, 3])
     return np.asarray(np.linalg.lstsq(H, b, rcond=None)[0])

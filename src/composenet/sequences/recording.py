@@ -184,7 +184,8 @@ class RecordedSequence:
         odometry, posed = Odometry(), []
         for frame in watch(self._frames):
             try:
-                T_source_camera = odometry(self._read_depth_m(frame), self.camera)
+                depth_m = self._read_depth_m(frame)
+                T_source_camera = odometry(depth_m, self.camera, self._read_color(frame))
             except SequenceError as error:
                 self._skip(frame, str(error))
                 continue
