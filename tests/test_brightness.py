@@ -90,6 +90,13 @@ def test_plain_or_unmeasured_images_tell_nothing() -> None:
         np.testing.assert_array_equal(pair.guessed(TRUE), TRUE)
 
 
+def test_images_of_few_pixels_tell_nothing() -> None:
+    K = np.array([[5.0, 0, 2], [0, 5, 1], [0, 0, 1]])
+    color = np.random.default_rng(2).integers(0, 255, (3, 5, 3)).astype(np.uint8)
+    view = LitView(np.ones((3, 5), np.float32), color, Camera(K, 5, 3))
+    assert len(view.levels) == LEVELS and LitPair(view, view).misfit(np.eye(4)) == np.inf
+
+
 def test_wide_images_are_halved_first() -> None:
     depth = np.full((480, 640), WALL_M, np.float32)
     color = np.random.default_rng(1).integers(0, 255, (480, 640, 3)).astype(np.uint8)

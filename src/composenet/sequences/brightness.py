@@ -70,13 +70,19 @@ class LitView:
     def __init__(
         self, depth_m: NDArray[np.float32], color: NDArray[np.uint8], camera: Camera
     ) -> None:
-        light = brightness(color)
-        self.levels: list[_Level] = []
+        image = (brightness(color), depth_m, camera)
+        while image[2].width > _WIDEST:
+            image = _halved(*image)
+        self.levels = [_level(*image)]
         while len(self.levels) < LEVELS:
-            if camera.width <= _WIDEST or self.levels:
-                self.levels.append(_level(light, depth_m, camera))
-            light, camera = halved(light), subsample_camera(camera, 2)
-            depth_m = np.ascontiguousarray(depth_m[::2, ::2])
+            image = _halved(*image)
+            self.levels.append(_level(*image))
+
+
+def _halved(
+    light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
+    return halved(light), np.ascontiguousarray(depth_m[::2, ::2]), subsample_camera(camera, 2)
 
 
 def _level(light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera) -> _Level:

@@ -41,7 +41,7 @@ class SequenceOptions:
     max_depth_m: Positive = 10.0
     """depth beyond this is no measurement; the tracker's own limit is volume.max_depth_m (5.5)"""
     odometry: bool = False
-    """camera poses from the depth images themselves, not from the recording (needs
+    """camera poses from the images themselves, not from the recording (needs
     composenet[odometry])"""
     max_width: Annotated[Count, Field(ge=16)] = 480
     """wider depth images are subsampled by the smallest whole factor that fits"""

@@ -311,7 +311,7 @@ def open_sequence(
     Every `stride`-th frame is read, at most `max_frames` of those that are usable. The levelled
     world is the recording's own, turned by the smallest rotation that makes it z-up and shifted
     along z so that the floor is z = 0 (rules in `leveling`); it is taken from up to 16 frames
-    spread over the recording. With `options.odometry` every frame's depth is read at once to find
+    spread over the recording. With `options.odometry` every frame's images are read at once to find
     the camera's way; `watch` goes round them meanwhile, such as a progress bar.
 
     Raises SequenceError with one line that says what is missing and what to do when the
