@@ -16,13 +16,13 @@ WALL_M = 2.0
 STEP = np.array([0.01, -0.02, 0.015, 0.03, -0.02, 0.02])
 
 
-def wall(T_wall_camera: np.ndarray, gain: float = 1.0, offset: float = 0.0) -> LitView:
+def wall(T_wall_camera: np.ndarray, offset: float = 0.0) -> LitView:
     """A painted wall, the plane z = WALL_M of `T_wall_camera`'s world."""
     rays = pixel_rays(CAMERA) @ T_wall_camera[:3, :3].T
     depth_m = (WALL_M - T_wall_camera[2, 3]) / rays[..., 2]
     x, y, _ = np.moveaxis(T_wall_camera[:3, 3] + depth_m[..., None] * rays, -1, 0)
     paint = 0.5 + 0.15 * np.sin(3 * x + 1) * np.cos(4 * y) + 0.1 * np.sin(9 * x - 5 * y)
-    grey = np.round(255 * np.clip(gain * paint + offset, 0, 1)).astype(np.uint8)
+    grey = np.round(255 * np.clip(paint + offset, 0, 1)).astype(np.uint8)
     return LitView(depth_m.astype(np.float32), np.repeat(grey[..., None], 3, axis=2), CAMERA)
 
 
@@ -73,8 +73,8 @@ def test_the_true_pose_looks_most_alike() -> None:
 
 
 def test_what_is_hidden_or_elsewhere_is_not_compared() -> None:
-    far = make_T(np.eye(3), [0.0, 0, -1.5])
-    assert PAIR.misfit(far) == np.inf  # another surface: nothing in common
+    behind = make_T(np.eye(3), [0.0, 0, 0.5])  # in view, but the wall of the first hides it
+    assert PAIR.equations(behind, 0).pixels == 0 and PAIR.misfit(behind) == np.inf
     aside = make_T(np.eye(3), [30.0, 0, 0])
     assert PAIR.equations(aside, 0).pixels == 0 and PAIR.misfit(aside) == np.inf
     np.testing.assert_array_equal(PAIR.guessed(aside), aside)

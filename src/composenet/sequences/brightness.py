@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from composenet.geometry.camera import back_project, subsample_camera
+from composenet.geometry.camera import back_project, subsample_camera, subsampled
 from composenet.geometry.photometric import (
     add_row,
     brightness,
@@ -82,7 +82,8 @@ class LitView:
 def _halved(
     light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
-    return halved(light), np.ascontiguousarray(depth_m[::2, ::2]), subsample_camera(camera, 2)
+    depth_m = np.ascontiguousarray(subsampled(depth_m, 2))
+    return halved(light), depth_m, subsample_camera(camera, 2)
 
 
 def _level(light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera) -> _Level:

@@ -34,13 +34,7 @@ from composenet.geometry.transform import (
 )
 from composenet.gicp import small_gicp
 from composenet.records import Camera, FloatArray, usable_color, usable_depth
-from composenet.sequences.brightness import (
-    LEVELS,
-    Equations,
-    LitPair,
-    LitView,
-    moved,
-)
+from composenet.sequences.brightness import LEVELS, Equations, LitPair, LitView, moved
 from composenet.sequences.leveling import CameraLeveler, surface_of
 
 _CELLS_M = (0.4, 0.2, 0.1)
