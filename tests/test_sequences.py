@@ -1,7 +1,10 @@
-"""Readers: three formats, what each bad input says, and that no corruption crashes them."""
+"""Readers: six formats, what each bad input says, and that no corruption crashes them."""
 
 import json
 import shutil
+import struct
+import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +96,66 @@ def write_tum(root: Path, count: int = COUNT) -> Path:
     return root
 
 
-WRITERS = {"plain": write_plain, "scannet": write_scannet, "tum": write_tum}
+def write_seven_scenes(root: Path, count: int = COUNT) -> Path:
+    for i in range(count):
+        save_depth(root / f"frame-{i:06d}.depth.png", depth_units(i))
+        save_color(root / f"frame-{i:06d}.color.png")
+        save_text(root / f"frame-{i:06d}.pose.txt", pose(i))
+    save_text(root / "camera-intrinsics.txt", K)
+    return root
+
+
+def sens_bytes(
+    count: int = COUNT, *, version: int = 4, color: int = 2, depth: int = 1, claimed: int = COUNT
+) -> bytes:
+    """As ScanNet's `sensorData.h` writes it. color: 0 raw, 1 PNG, 2 JPEG; depth: 0 raw, 1 zlib."""
+    K4 = np.eye(4)
+    K4[:3, :3] = K
+    data = struct.pack("<IQ", version, 9) + b"StructIO3"
+    for matrix in (2 * K4, np.eye(4), K4, np.eye(4)):
+        data += matrix.astype("<f4").tobytes()
+    data += struct.pack("<2i4IfQ", color, depth, 60, 40, WIDTH, HEIGHT, 1000, claimed)
+    image = Image.new("RGB", (60, 40), (200, 30, 30))
+    for i in range(count):
+        stream = BytesIO()
+        if color:
+            image.save(stream, "JPEG" if color == 2 else "PNG")
+        rgb = stream.getvalue() if color else image.tobytes()
+        units = depth_units(i).tobytes()
+        units = zlib.compress(units) if depth else units
+        data += pose(i).astype("<f4").tobytes()
+        data += struct.pack("<4Q", 0, 0, len(rgb), len(units)) + rgb + units
+    return data + struct.pack("<Q", 0)
+
+
+def write_sens(root: Path, count: int = COUNT) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    path = root / "scene.sens"
+    path.write_bytes(sens_bytes(count, claimed=count))
+    return path
+
+
+def write_open3d(root: Path, count: int = COUNT) -> Path:
+    lines = []
+    for i in range(count):
+        save_depth(root / f"depth/{i:06d}.png", depth_units(i))
+        save_color(root / f"color/{i:06d}.jpg")
+        lines += [f"{i} {i} {i + 1}", *(" ".join(map(str, row)) for row in pose(i).tolist())]
+    (root / "scene").mkdir()
+    (root / "scene/trajectory.log").write_text("\n".join(lines) + "\n")
+    numbers = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": K.T.ravel().tolist()}
+    (root / "camera_intrinsic.json").write_text(json.dumps(numbers))
+    return root
+
+
+WRITERS = {
+    "plain": write_plain,
+    "scannet": write_scannet,
+    "tum": write_tum,
+    "7-scenes": write_seven_scenes,
+    "sens": write_sens,
+    "open3d": write_open3d,
+}
 
 
 @pytest.fixture
@@ -105,7 +167,7 @@ def plain(tmp_path: Path) -> Path:
 def test_every_format_gives_the_same_frames(kind, tmp_path):
     sequence = open_sequence(WRITERS[kind](tmp_path / kind))
     frames = list(sequence)
-    assert sequence.name == kind and sequence.has_poses
+    assert sequence.name == ("scene.sens" if kind == "sens" else kind) and sequence.has_poses
     assert len(sequence) == len(frames) == COUNT
     assert sequence.skipped == [] and sequence.warnings == []
     assert [frame.index for frame in frames] == list(range(COUNT))
@@ -135,6 +197,115 @@ def test_backwards_the_frames_are_the_same(plain):
     shutil.rmtree(plain / "pose")
     with pytest.raises(SequenceError, match="in order only"):
         reversed(open_sequence(plain))
+
+
+@pytest.mark.parametrize(("color", "depth"), [(0, 0), (1, 1), (2, 0), (-1, 1)])
+def test_every_compression_of_a_sens_file_is_read(color, depth, tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(sens_bytes(color=max(color, 0), depth=depth))
+    if color < 0:  # unknown: the images are left out
+        data = bytearray(path.read_bytes())
+        data[21 + 256 : 21 + 260] = struct.pack("<i", -1)
+        path.write_bytes(bytes(data))
+    for i, frame in enumerate(open_sequence(path)):
+        np.testing.assert_array_equal(frame.depth_m, (depth_units(i) / 1000).astype(np.float32))
+        if color < 0:
+            assert frame.color is None
+        else:
+            np.testing.assert_allclose(frame.color[5, 5], (200, 30, 30), atol=3)
+
+
+def test_a_sens_file_that_ends_early_keeps_what_it_holds(tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(sens_bytes()[:-100])
+    sequence = open_sequence(path)
+    assert len(sequence) == COUNT - 1
+    assert sequence.warnings == [f"the file ends early: 1 of its {COUNT} frames are missing"]
+
+
+def test_a_sens_frame_without_a_pose_or_with_broken_depth_is_skipped(tmp_path):
+    path = tmp_path / "scene.sens"
+    data = bytearray(sens_bytes())
+    first = data.index(pose(0).astype("<f4").tobytes())
+    data[first : first + 4] = struct.pack("<f", -np.inf)
+    last = bytes(data).rindex(zlib.compress(depth_units(COUNT - 1).tobytes()))
+    data[last : last + 8] = b"\0" * 8
+    path.write_bytes(bytes(data))
+    sequence = open_sequence(path)
+    assert [frame.index for frame in sequence] == [1, 2]
+    assert [name for name, _ in sequence.skipped] == ["0", "3"]
+
+
+@pytest.mark.parametrize(
+    ("data", "word"),
+    [
+        (b"", "ends within its header"),
+        (b"PK\x03\x04" + bytes(400), "version 4"),
+        (sens_bytes()[:200], "ends within its header"),
+        (struct.pack("<IQ", 4, 1 << 40) + bytes(400), "sensor name"),
+        (sens_bytes(0, claimed=0), "no frame"),
+        (sens_bytes(depth=2), "depth compression 2"),
+        (sens_bytes().replace(K.astype("<f4")[0, :1].tobytes(), bytes(4)), "intrinsics matrix"),
+        (sens_bytes().replace(struct.pack("<fQ", 1000, COUNT), struct.pack("<fQ", 0, 1)), "units"),
+    ],
+)
+def test_what_is_no_sens_file_is_refused(data, word, tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(data)
+    assert_refused(path, "scene.sens", word)
+
+
+def test_open3d_frames_take_the_poses_of_their_numbers(tmp_path):
+    root = write_open3d(tmp_path / "walk")
+    log = root / "scene/trajectory.log"
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join(lines[:5] + lines[10:]) + "\n")  # without frame 1
+    sequence = open_sequence(root)
+    assert [frame.index for frame in sequence] == [0, 2, 3]
+    assert sequence.skipped == [("000001", "no pose: none of its number in scene/trajectory.log")]
+    log.unlink()
+    assert not open_sequence(root).has_poses and len(open_sequence(root)) == COUNT
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "word"),
+    [
+        ("camera_intrinsic.json", "{}", "intrinsic_matrix"),
+        ("camera_intrinsic.json", "[1, 2]", "intrinsic_matrix"),
+        ("camera_intrinsic.json", '{"intrinsic_matrix": [1, 2, 3]}', "intrinsic_matrix"),
+        ("camera_intrinsic.json", '{"intrinsic_matrix": [1,0,0, 0,-1,0, 0,0,1]}', "intrinsics"),
+        ("scene/trajectory.log", "0 0 1\n1 0 0 0\n", "trajectory.log"),
+        ("scene/trajectory.log", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "trajectory.log"),
+    ],
+)
+def test_broken_files_of_open3d_are_named(file, text, word, tmp_path):
+    root = write_open3d(tmp_path / "walk")
+    (root / file).write_text(text)
+    assert_refused(root, word)
+
+
+def test_intrinsics_of_3dmatch_lie_above_its_frames(tmp_path):
+    root = write_seven_scenes(tmp_path / "seq-01")
+    save_text(tmp_path / "camera-intrinsics.txt", 2 * K)
+    np.testing.assert_array_equal(open_sequence(root).camera.K, K)
+    (root / "camera-intrinsics.txt").unlink()
+    save_text(tmp_path / "camera-intrinsics.txt", K + np.diag([1, 1, 0]))
+    assert open_sequence(root).camera.K[0, 0] == 21
+    (tmp_path / "camera-intrinsics.txt").unlink()
+    assert_refused(root, "--intrinsics", "24x18")
+
+
+def test_a_7_scenes_frame_without_its_pose_is_skipped_and_without_any_all_are_kept(tmp_path):
+    root = write_seven_scenes(tmp_path / "seq-01")
+    (root / "frame-000002.pose.txt").unlink()
+    (root / "frame-000001.color.png").unlink()
+    sequence = open_sequence(root)
+    assert [frame.index for frame in sequence] == [0, 1, 3]
+    assert sequence.skipped == [("frame-000002", "no pose: no file NAME.pose.txt")]
+    assert any("frame-000001" in line and "without colour" in line for line in sequence.warnings)
+    for file in root.glob("*.pose.txt"):
+        file.unlink()
+    assert len(open_sequence(root)) == COUNT and not open_sequence(root).has_poses
 
 
 def test_names_sort_as_numbers(tmp_path):
@@ -336,9 +507,9 @@ def test_missing_folder(tmp_path):
 
 
 def test_a_file_instead_of_a_folder(tmp_path):
-    path = tmp_path / "scene0000_00.sens"
+    path = tmp_path / "seq-01.zip"
     path.write_bytes(b"\x04")
-    assert_refused(path, "is a file, not a folder")
+    assert_refused(path, "is a file, neither a folder nor called *.sens")
 
 
 def test_a_foreign_folder(tmp_path):
@@ -477,13 +648,15 @@ def corrupted(data: bytes, draw: st.DataObject) -> bytes:
 @given(data=st.data())
 def test_no_corruption_crashes_a_reader(kind, originals, tmp_path_factory, data):
     root = tmp_path_factory.mktemp(kind) / "recording"
-    shutil.copytree(originals[kind], root)
+    original = originals[kind] if originals[kind].is_dir() else originals[kind].parent
+    shutil.copytree(original, root)
+    opened = root if originals[kind].is_dir() else root / originals[kind].name
     files = sorted(path for path in root.rglob("*") if path.is_file())
     victims = data.draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True))
     for victim in victims:
         victim.write_bytes(corrupted(victim.read_bytes(), data))
     try:
-        sequence = open_sequence(root)
+        sequence = open_sequence(opened)
         frames = list(sequence)
     except SequenceError as error:
         assert "\n" not in str(error)

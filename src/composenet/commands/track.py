@@ -139,7 +139,7 @@ def run_track(
 ) -> int:
     """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
-    if recording.is_dir():  # else what is wrong with it comes first
+    if recording.exists():  # else what is wrong with it comes first
         if out.exists() and out.samefile(recording):
             raise DataError(f"{out}: this is the recording itself; give another --out folder")
         claim(out)

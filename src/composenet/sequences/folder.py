@@ -11,7 +11,7 @@ gravity-direction.txt    optional: 3 numbers, pointing down in the world
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,14 +59,10 @@ def read_source(path: Path) -> Source:
 
 
 def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]]:
-    """Frames of the depth and colour folders in the natural order of their names, and warnings.
-
-    A colour image without depth is a frame with a problem, unless no name matches at all:
-    then colour is left out. Raises SequenceError when there is no depth image.
-    """
+    """Frames of the depth and colour folders, and warnings, as `framed` makes them. Raises
+    SequenceError when there is no depth image."""
     depth = images_by_stem(path / "depth", DEPTH_SUFFIXES)
     color_folder = _first(path, _COLOR_FOLDERS)
-    color = images_by_stem(color_folder, COLOR_SUFFIXES)
     if not depth:
         others = sorted({p.suffix for p in (path / "depth").iterdir() if p.is_file()})
         found = f", but {' '.join(others)}" if any(others) else ""
@@ -74,6 +70,17 @@ def matched_frames(path: Path) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]
             f"{path / 'depth'}: no depth image (*.png, 16 bits) in it{found}; write depth as "
             "16-bit PNG in millimetres"
         )
+    return framed(depth, images_by_stem(color_folder, COLOR_SUFFIXES), color_folder)
+
+
+def framed(
+    depth: Mapping[str, Path], color: Mapping[str, Path], color_folder: Path
+) -> tuple[tuple[SourceFrame, ...], tuple[str, ...]]:
+    """Frames of images by name, in the natural order of their names, and warnings.
+
+    A colour image without depth is a frame with a problem, unless no name matches at all:
+    then colour is left out.
+    """
     warnings: tuple[str, ...] = ()
     if color and not depth.keys() & color.keys():
         warnings = (f"{color_folder}: no file has the name of a depth image; colour left out",)
@@ -105,16 +112,25 @@ def frames_with_poses(
 ) -> tuple[tuple[SourceFrame, ...], bool]:
     """The frames with their poses, and whether the recording has any."""
     folder = _first(path, _POSE_FOLDERS)
-    if not folder.is_dir() or not any(folder.glob("*.txt")):
+    files = {file.stem: file for file in folder.glob("*.txt")}
+    return posed(frames, files, f"no file of its name in {folder.name}/")
+
+
+def posed(
+    frames: tuple[SourceFrame, ...], files: Mapping[str, Path], lacking: str
+) -> tuple[tuple[SourceFrame, ...], bool]:
+    """The frames with the poses of files by name, and whether there are any files. lacking: what
+    is said of a frame that has none."""
+    if not files:
         return frames, False
-    return tuple(_posed(folder / f"{frame.name}.txt", frame) for frame in frames), True
+    return tuple(_with_pose_of(files.get(frame.name), frame, lacking) for frame in frames), True
 
 
-def _posed(path: Path, frame: SourceFrame) -> SourceFrame:
+def _with_pose_of(path: Path | None, frame: SourceFrame, lacking: str) -> SourceFrame:
     if frame.problem:
         return frame
-    if not path.is_file():
-        return replace(frame, problem=f"no pose: no file of its name in {path.parent.name}/")
+    if path is None:
+        return replace(frame, problem=f"no pose: {lacking}")
     try:
         return with_pose(frame, read_numbers(path, 16, "a 4x4 pose").reshape(4, 4))
     except SequenceError:

@@ -1,8 +1,12 @@
-"""Depth and colour images from disk."""
+"""Depth and colour images from disk: files, and parts of a file that holds many."""
 
 from __future__ import annotations
 
+import zlib
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,29 +17,61 @@ from composenet.errors import SequenceError
 _MAX_PIXELS = 64_000_000  # a corrupt header may claim any size
 _SATURATED = 65535  # what sensors write for "out of range"
 _DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
+Packing = Literal["file", "rgb", "uint16", "zlib uint16"]
 
 
-def image_size(path: Path) -> tuple[int, int]:
+@dataclass(frozen=True)
+class PackedImage:
+    """An image within a larger file. packing: the bytes of an image file, or pixels row by row.
+    size: width, height; an image file says its own."""
+
+    path: Path
+    offset: int
+    length: int
+    packing: Packing
+    size: tuple[int, int]
+
+    def open(self) -> Image.Image:
+        """The image. Raises what decoders raise, and SequenceError where it claims to be huge."""
+        with self.path.open("rb") as file:
+            file.seek(self.offset)
+            data = file.read(self.length)
+        if self.packing == "file":
+            return Image.open(BytesIO(data))
+        width, height = _possible(self.size)
+        if self.packing == "rgb":
+            return Image.frombytes("RGB", self.size, data)
+        if self.packing == "zlib uint16":
+            data = zlib.decompressobj().decompress(data, 2 * width * height)
+        return Image.fromarray(np.frombuffer(data, "<u2").reshape(height, width))
+
+
+ImageSource = Path | PackedImage
+
+
+def image_size(source: ImageSource) -> tuple[int, int]:
     """(width, height) from the header alone. Raises SequenceError."""
-    with _opened(path) as image:
+    if isinstance(source, PackedImage) and source.packing != "file":
+        return _possible(source.size)
+    with _opened(source) as image:
         return image.size
 
 
-def read_depth(path: Path) -> NDArray[np.uint16]:
+def read_depth(source: ImageSource) -> NDArray[np.uint16]:
     """(H, W) uint16 depth in the file's units, saturated values (65535) set to 0.
 
     Raises SequenceError: unreadable, truncated, or not a 16-bit grey image.
     """
-    with _opened(path) as image:
+    with _opened(source) as image:
         if image.mode not in _DEPTH_MODES:
             raise SequenceError(f"depth is not a 16-bit grey image (mode {image.mode})")
         raw = _decoded(image)
     return np.where((raw > 0) & (raw < _SATURATED), raw, 0).astype(np.uint16)
 
 
-def read_color(path: Path, width: int, height: int) -> NDArray[np.uint8]:
+def read_color(source: ImageSource, width: int, height: int) -> NDArray[np.uint8]:
     """(height, width, 3) uint8, stretched to the asked size. Raises SequenceError."""
-    with _opened(path) as image:
+    with _opened(source) as image:
         _decoded(image)
         try:
             rgb = image.convert("RGB")
@@ -46,19 +82,30 @@ def read_color(path: Path, width: int, height: int) -> NDArray[np.uint8]:
         return np.array(rgb)
 
 
-def _opened(path: Path) -> Image.Image:
+def _opened(source: ImageSource) -> Image.Image:
     try:
-        image = Image.open(path)
+        image = source.open() if isinstance(source, PackedImage) else Image.open(source)
+    except SequenceError:
+        raise
     except FileNotFoundError:
         raise SequenceError("image is missing") from None
     except PermissionError:
         raise SequenceError("image may not be read (permission denied)") from None
     except Exception:  # decoders raise many kinds on corrupt bytes
         raise SequenceError("image is corrupt or of an unknown kind") from None
-    if image.size[0] * image.size[1] > _MAX_PIXELS:
+    try:
+        _possible(image.size)
+    except SequenceError:
         image.close()
-        raise SequenceError(f"image claims to be {image.size[0]}x{image.size[1]}")
+        raise
     return image
+
+
+def _possible(size: tuple[int, int]) -> tuple[int, int]:
+    """The size. Raises SequenceError where no image has it."""
+    if not 0 < size[0] * size[1] <= _MAX_PIXELS:
+        raise SequenceError(f"image claims to be {size[0]}x{size[1]}")
+    return size
 
 
 def _decoded(image: Image.Image) -> NDArray:

@@ -15,6 +15,7 @@ from composenet.errors import SequenceError
 from composenet.geometry.rigid import is_rigid
 from composenet.geometry.transform import rigid_T
 from composenet.records import FloatArray
+from composenet.sequences.images import ImageSource
 
 _MAX_POSE_NUMBER = 1e9  # metres; larger ones overflow sooner or later
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -32,8 +33,8 @@ class SourceFrame:
 
     index: int
     name: str
-    depth: Path | None
-    color: Path | None = None
+    depth: ImageSource | None
+    color: ImageSource | None = None
     T_source_camera: FloatArray | None = None
     timestamp_s: float | None = None
     problem: str | None = None
@@ -64,7 +65,8 @@ class Source:
         """The recording as if it had none: a frame with nothing wrong but its pose is usable."""
 
         def usable(frame: SourceFrame) -> SourceFrame:
-            problem = None if frame.depth and frame.depth.is_file() else frame.problem
+            gone = isinstance(frame.depth, Path) and not frame.depth.is_file()
+            problem = frame.problem if frame.depth is None or gone else None
             return replace(frame, T_source_camera=None, problem=problem)
 
         frames = tuple(map(usable, self.frames))
@@ -102,7 +104,11 @@ def read_intrinsics(path: Path, size: int) -> NDArray[np.float64] | None:
     if not path.is_file():
         return None
     numbers = read_numbers(path, size * size, f"a {size}x{size} intrinsics matrix")
-    K = numbers.reshape(size, size)[:3, :3]
+    return checked_K(path, numbers.reshape(size, size)[:3, :3])
+
+
+def checked_K(path: Path, K: FloatArray) -> NDArray[np.float64]:
+    """The (3, 3) matrix of a file. Raises SequenceError when it is no intrinsics matrix."""
     usable = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
     if not usable or not np.allclose(K[2], [0, 0, 1], atol=1e-6):
         raise SequenceError(f"{path}: not an intrinsics matrix (fx 0 cx, 0 fy cy, 0 0 1 expected)")
