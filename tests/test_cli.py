@@ -201,6 +201,19 @@ def test_bad_input_of_the_installed_program(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_as_recording_costs_nothing(
+    run, capsys: pytest.CaptureFixture, tmp_path: Path
+) -> None:
+    own, other, out = tmp_path / "x.sens", tmp_path / "x.zip", tmp_path / "out"
+    for path in (own, other):
+        path.write_bytes(b"something")
+    assert run("track", str(own), "--out", str(own)) == 2
+    assert "recording itself" in capsys.readouterr().err
+    assert run("track", str(other), "--out", str(out)) == 2
+    assert "is a file" in capsys.readouterr().err and not out.exists()
+    assert own.read_bytes() == other.read_bytes() == b"something"
+
+
 @pytest.fixture(scope="module")
 def tracked(recordings: Path, tiny_weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result of `track` for the first sequence."""

@@ -57,10 +57,13 @@ def test_a_box_holds_what_lies_in_it_as_it_is_turned() -> None:
         ([2.0, 0, 2.0], False),  # beside the image
         ([0.0, 0, -2.0], False),
         ([0.0, 0, 0], False),
+        ([0.0, 1.5, 6.0], False),  # farther than anything is looked for
     ],
 )
 def test_a_thing_is_shown_where_depth_is_its_own(point, shown) -> None:
-    frame = Frame(0, np.full((12, 16), 2.0, np.float32), CAMERA, np.eye(4))
+    depth_m = np.full((12, 16), 2.0, np.float32)
+    depth_m[10:] = 6.0
+    frame = Frame(0, depth_m, CAMERA, np.eye(4))
     assert real_rooms.Thing("a", ("chair",), np.array([point])).shown_by(frame) == shown
 
 
@@ -82,17 +85,21 @@ def test_counts_of_a_recording(recordings: Path, monkeypatch: pytest.MonkeyPatch
     room = {
         "from": "here",
         "folder": "val_00000",
-        "width": 160,
+        "width": 320,  # as if the images had been twice as wide
+        "stride": 2,
         "things": {
-            "a": {"classes": ["chair"], "at": [["0", 80, 70]]},
-            "b": {"classes": ["sofa"], "at": [["0", 20, 100]]},
+            "a": {"classes": ["chair"], "at": [["0", 160, 140]]},
+            "b": {"classes": ["sofa"], "at": [["0", 40, 200]]},
         },
-        "ignored": [["0", 140, 100]],
+        "ignored": [["2", 280, 200]],
     }
     sequence = real_rooms.recording(room, recordings, Path("unused"))
-    first = next(iter(sequence))
-    points = apply_T(first.T_world_camera, back_project(first.depth_m, first.camera))
-    a, b, ignored = points[70, 80], points[100, 20], points[100, 140]
+    first, second, third = sequence
+
+    def at(frame: Frame, row: int, column: int) -> np.ndarray:
+        return apply_T(frame.T_world_camera, back_project(frame.depth_m, frame.camera))[row, column]
+
+    a, b, ignored = at(first, 70, 80), at(first, 100, 20), at(second, 100, 140)
     found = [
         entry(7, "chair", a),
         entry(8, "table", b),  # another class: neither found nor false
@@ -105,12 +112,12 @@ def test_counts_of_a_recording(recordings: Path, monkeypatch: pytest.MonkeyPatch
     )
     counts = real_rooms.score(room, sequence)
     seen = counts["by_thing"]["a"]["seen"]
-    assert 1 <= seen <= counts["frames"] == 6
+    assert 1 <= seen <= counts["frames"] == 3 and third.index == 4
     assert counts["by_thing"]["a"] == {"seen": seen, "found": seen, "identities": {7: seen}}
     assert counts["by_thing"]["b"]["found"] == 0 and counts["by_thing"]["b"]["seen"] >= 1
     assert (counts["things"], counts["things_found"]) == (2, 1)
     assert counts["object_frames_found"] == seen < counts["object_frames"]
-    assert counts["false"] == 6 and counts["false_by_class"] == {"bed": 6}
+    assert counts["false"] == 3 and counts["false_by_class"] == {"bed": 3}
 
 
 def test_single_images_are_linked_together(tmp_path: Path) -> None:
@@ -122,7 +129,10 @@ def test_single_images_are_linked_together(tmp_path: Path) -> None:
     room |= {"intrinsics": [20, 20, 7.5, 5.5]}
     with pytest.raises(DataError, match=r"clone github.com/a/b there"):
         real_rooms.recording(room | {"color": "*.bmp"}, tmp_path, tmp_path / "scratch0")
-    real_rooms.recording(room, tmp_path, tmp_path / "scratch")
+    room["depth_scale"] = 500
+    sequence = real_rooms.recording(room, tmp_path, tmp_path / "scratch")
+    assert sequence.has_poses and not sequence.own_poses and len(sequence) == 2
+    assert next(iter(sequence)).depth_m.max() == 4
     assert sorted(p.name for p in (tmp_path / "scratch/color").iterdir()) == [
         "000000.jpg",
         "000001.jpg",

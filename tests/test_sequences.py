@@ -19,7 +19,7 @@ from composenet.errors import ConfigError, SequenceError
 from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
 from composenet.records import Camera, Frame
-from composenet.sequences import SequenceOptions, checks, open_sequence
+from composenet.sequences import SequenceOptions, checks, images, open_sequence, sens
 from composenet.sequences.source import in_order
 from composenet.sequences.tum import nearest
 
@@ -106,7 +106,14 @@ def write_seven_scenes(root: Path, count: int = COUNT) -> Path:
 
 
 def sens_bytes(
-    count: int = COUNT, *, version: int = 4, color: int = 2, depth: int = 1, claimed: int = COUNT
+    count: int = COUNT,
+    *,
+    version: int = 4,
+    color: int = 2,
+    depth: int = 1,
+    claimed: int = COUNT,
+    scale: float = 1000,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> bytes:
     """As ScanNet's `sensorData.h` writes it. color: 0 raw, 1 PNG, 2 JPEG; depth: 0 raw, 1 zlib."""
     K4 = np.eye(4)
@@ -114,14 +121,14 @@ def sens_bytes(
     data = struct.pack("<IQ", version, 9) + b"StructIO3"
     for matrix in (2 * K4, np.eye(4), K4, np.eye(4)):
         data += matrix.astype("<f4").tobytes()
-    data += struct.pack("<2i4IfQ", color, depth, 60, 40, WIDTH, HEIGHT, 1000, claimed)
+    data += struct.pack("<2i4IfQ", color, depth, 60, 40, *size, scale, claimed)
     image = Image.new("RGB", (60, 40), (200, 30, 30))
     for i in range(count):
         stream = BytesIO()
         if color:
             image.save(stream, "JPEG" if color == 2 else "PNG")
         rgb = stream.getvalue() if color else image.tobytes()
-        units = depth_units(i).tobytes()
+        units = depth_units(i, scale).tobytes()
         units = zlib.compress(units) if depth else units
         data += pose(i).astype("<f4").tobytes()
         data += struct.pack("<4Q", 0, 0, len(rgb), len(units)) + rgb + units
@@ -167,7 +174,7 @@ def plain(tmp_path: Path) -> Path:
 def test_every_format_gives_the_same_frames(kind, tmp_path):
     sequence = open_sequence(WRITERS[kind](tmp_path / kind))
     frames = list(sequence)
-    assert sequence.name == ("scene.sens" if kind == "sens" else kind) and sequence.has_poses
+    assert sequence.name == ("scene" if kind == "sens" else kind) and sequence.has_poses
     assert len(sequence) == len(frames) == COUNT
     assert sequence.skipped == [] and sequence.warnings == []
     assert [frame.index for frame in frames] == list(range(COUNT))
@@ -215,12 +222,95 @@ def test_every_compression_of_a_sens_file_is_read(color, depth, tmp_path):
             np.testing.assert_allclose(frame.color[5, 5], (200, 30, 30), atol=3)
 
 
-def test_a_sens_file_that_ends_early_keeps_what_it_holds(tmp_path):
+@pytest.mark.parametrize("cut", [20, 100, 2000])
+def test_a_sens_file_that_ends_early_keeps_what_it_holds(cut, tmp_path):
     path = tmp_path / "scene.sens"
-    path.write_bytes(sens_bytes()[:-100])
+    path.write_bytes(sens_bytes(depth=0)[:-cut])
     sequence = open_sequence(path)
-    assert len(sequence) == COUNT - 1
-    assert sequence.warnings == [f"the file ends early: 1 of its {COUNT} frames are missing"]
+    left = {20: 1, 100: 1, 2000: 2}[cut]
+    assert len(sequence) == len(list(sequence)) == COUNT - left
+    assert sequence.warnings == [f"{left} of its {COUNT} frames are missing or damaged"]
+
+
+def test_a_sens_file_is_read_to_its_first_frame_without_depth(tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(sens_bytes(2, claimed=1 << 40) + bytes(1_000_000))
+    sequence = open_sequence(path)
+    assert len(sequence) == sequence.recorded == 2
+    assert "missing or damaged" in sequence.warnings[0]
+
+
+def test_a_sens_file_says_its_own_units_and_where_gravity_points(tmp_path):
+    path = tmp_path / "SCENE.SENS"
+    path.write_bytes(sens_bytes(scale=5000))
+    save_text(tmp_path / "gravity-direction.txt", np.array([0.0, 0, -1]))
+    sequence = open_sequence(path)
+    np.testing.assert_allclose(next(iter(sequence)).depth_m, depth_units(0) / 1000, atol=6e-4)
+    np.testing.assert_allclose(sequence.T_level_source[:3, :3], np.eye(3), atol=1e-12)
+    assert sequence.name == "SCENE" and sequence.warnings == []
+
+
+@pytest.mark.parametrize("scale", [0.0, np.nan, np.inf, -1.0])
+def test_impossible_units_of_a_sens_file_are_told_of(scale, tmp_path):
+    path = tmp_path / "scene.sens"
+    data = sens_bytes().replace(struct.pack("<fQ", 1000, COUNT), struct.pack("<fQ", scale, COUNT))
+    path.write_bytes(data)
+    sequence = open_sequence(path)
+    assert "depth units a metre" in sequence.warnings[0]
+    np.testing.assert_allclose(next(iter(sequence)).depth_m, depth_units(0) / 1000, atol=6e-4)
+
+
+def test_intrinsics_that_a_sens_file_lacks_can_be_given(tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(sens_bytes().replace(K.astype("<f4")[0, :1].tobytes(), bytes(4)))
+    assert_refused(path, "no intrinsics", "--intrinsics", "the file's header")
+    options = SequenceOptions(intrinsics=(20, 20, 11.5, 8.5))
+    assert len(list(open_sequence(path, options=options))) == COUNT
+
+
+def test_colour_that_a_sens_file_lacks_is_told_of(tmp_path):
+    path = tmp_path / "scene.sens"
+    data = sens_bytes(color=0).replace(bytes((200, 30, 30)) * 2400, b"")
+    path.write_bytes(data.replace(struct.pack("<Q", 7200), struct.pack("<Q", 0)))
+    sequence = open_sequence(path)
+    assert sequence.warnings[0].startswith("4 frames without colour")
+    assert len(list(sequence)) == COUNT and len(sequence.warnings) == 1
+    path.write_bytes(sens_bytes().replace(struct.pack("<2i", 2, 1), struct.pack("<2i", -1, 1)))
+    sequence = open_sequence(path)
+    assert "unknown way" in sequence.warnings[0] and next(iter(sequence)).color is None
+
+
+@pytest.mark.parametrize("size", [(0, 0), (2**32 - 1, 2**32 - 1), (2**32 - 1, 1)])
+def test_impossible_sizes_of_a_sens_file_are_refused(size, tmp_path):
+    path = tmp_path / "scene.sens"
+    path.write_bytes(sens_bytes(size=size))
+    assert_refused(path, "none of its frames can be used", "claims to be")
+
+
+def test_a_packed_image_takes_no_more_memory_than_it_says(tmp_path, monkeypatch):
+    path = tmp_path / "packed"
+    bomb = zlib.compress(bytes(50_000_000))
+    path.write_bytes(bomb)
+    sizes = []
+    real = np.frombuffer
+    monkeypatch.setattr(np, "frombuffer", lambda data, t: sizes.append(len(data)) or real(data, t))
+    image = images.PackedImage(path, 0, len(bomb), "zlib uint16", (WIDTH, HEIGHT))
+    assert not images.read_depth(image).any()
+    assert sizes == [2 * WIDTH * HEIGHT]
+    for packing in ("file", "uint16", "rgb", "zlib uint16"):
+        with pytest.raises(SequenceError, match="bytes"):
+            images.read_depth(images.PackedImage(path, 0, 1 << 40, packing, (WIDTH, HEIGHT)))
+
+
+def test_odometry_wants_no_poses_of_a_sens_file(tmp_path):
+    path = tmp_path / "scene.sens"
+    data = sens_bytes()
+    for i in range(COUNT):
+        data = data.replace(pose(i).astype("<f4").tobytes(), struct.pack("<16f", *[-np.inf] * 16))
+    path.write_bytes(data)
+    assert_refused(path, "poses in the file", "--odometry")
+    source = sens.read_source(path).without_poses()
+    assert [frame.problem for frame in source.frames] == [None] * COUNT
 
 
 def test_a_sens_frame_without_a_pose_or_with_broken_depth_is_skipped(tmp_path):
@@ -245,8 +335,6 @@ def test_a_sens_frame_without_a_pose_or_with_broken_depth_is_skipped(tmp_path):
         (struct.pack("<IQ", 4, 1 << 40) + bytes(400), "sensor name"),
         (sens_bytes(0, claimed=0), "no frame"),
         (sens_bytes(depth=2), "depth compression 2"),
-        (sens_bytes().replace(K.astype("<f4")[0, :1].tobytes(), bytes(4)), "intrinsics matrix"),
-        (sens_bytes().replace(struct.pack("<fQ", 1000, COUNT), struct.pack("<fQ", 0, 1)), "units"),
     ],
 )
 def test_what_is_no_sens_file_is_refused(data, word, tmp_path):
@@ -255,16 +343,38 @@ def test_what_is_no_sens_file_is_refused(data, word, tmp_path):
     assert_refused(path, "scene.sens", word)
 
 
-def test_open3d_frames_take_the_poses_of_their_numbers(tmp_path):
+def test_open3d_frames_take_the_poses_of_their_places(tmp_path):
     root = write_open3d(tmp_path / "walk")
+    for kind, suffix in (("depth", "png"), ("color", "jpg")):  # names begin at 1, places at 0
+        for i in reversed(range(COUNT)):
+            (root / f"{kind}/{i:06d}.{suffix}").rename(root / f"{kind}/{i + 1:06d}.{suffix}")
+    save_color(root / "color/000000.jpg")  # a colour image without depth has no place
     log = root / "scene/trajectory.log"
     lines = log.read_text().splitlines()
-    log.write_text("\n".join(lines[:5] + lines[10:]) + "\n")  # without frame 1
+    log.write_text("\n".join([*lines[:5], "", "", *lines[10:]]) + "\n")  # without place 1
     sequence = open_sequence(root)
-    assert [frame.index for frame in sequence] == [0, 2, 3]
-    assert sequence.skipped == [("000001", "no pose: none of its number in scene/trajectory.log")]
+    assert [frame.index for frame in sequence] == [1, 3, 4]
+    for frame in sequence:
+        source = inverse_T(sequence.T_level_source) @ frame.T_world_camera
+        np.testing.assert_allclose(source, pose(frame.index - 1), atol=1e-6)
+    why = "no pose: none of its place in scene/trajectory.log"
+    assert sequence.skipped == [("000000", "no depth image"), ("000002", why)]
+    (root / "depth/000003.png").unlink()
+    assert_refused(root, "trajectory.log", "number 3", "only 3")
     log.unlink()
-    assert not open_sequence(root).has_poses and len(open_sequence(root)) == COUNT
+    assert not open_sequence(root).has_poses and len(open_sequence(root)) == COUNT - 1
+
+
+def test_intrinsics_of_open3d_may_stand_in_a_plain_folder(tmp_path):
+    root = write_plain(tmp_path / "walk")
+    numbers = {"intrinsic_matrix": (K + np.diag([1, 1, 0])).T.ravel().tolist()}
+    (root / "intrinsic.json").write_text(json.dumps(numbers))
+    sequence = open_sequence(root)
+    assert sequence.has_poses and sequence.camera.K[0, 0] == 20
+    (root / "camera-intrinsics.txt").unlink()
+    sequence = open_sequence(root)
+    assert sequence.has_poses and sequence.camera.K[0, 0] == 21 and len(sequence) == COUNT
+    np.testing.assert_allclose(sequence.T_level_source[:3, :3], np.eye(3), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +384,9 @@ def test_open3d_frames_take_the_poses_of_their_numbers(tmp_path):
         ("camera_intrinsic.json", "[1, 2]", "intrinsic_matrix"),
         ("camera_intrinsic.json", '{"intrinsic_matrix": [1, 2, 3]}', "intrinsic_matrix"),
         ("camera_intrinsic.json", '{"intrinsic_matrix": [1,0,0, 0,-1,0, 0,0,1]}', "intrinsics"),
-        ("scene/trajectory.log", "0 0 1\n1 0 0 0\n", "trajectory.log"),
+        ("camera_intrinsic.json", f'{{"intrinsic_matrix": [{"9" * 400}]}}', "intrinsic_matrix"),
+        ("camera_intrinsic.json", "[" * 200_000, "intrinsic_matrix"),
+        ("scene/trajectory.log", "\n\n0 0 1\n1 0 0 0\n", "from line 3"),
         ("scene/trajectory.log", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "trajectory.log"),
     ],
 )
@@ -306,6 +418,21 @@ def test_a_7_scenes_frame_without_its_pose_is_skipped_and_without_any_all_are_ke
     for file in root.glob("*.pose.txt"):
         file.unlink()
     assert len(open_sequence(root)) == COUNT and not open_sequence(root).has_poses
+
+
+def test_hidden_files_beside_7_scenes_are_none(tmp_path):
+    root = write_seven_scenes(tmp_path / "seq-01")
+    for file in root.glob("*.pose.txt"):
+        file.rename(root / f"._{file.name}")
+    sequence = open_sequence(root)
+    assert len(sequence) == COUNT and not sequence.has_poses
+
+
+def test_a_recording_inside_the_folder_is_pointed_at(tmp_path):
+    write_seven_scenes(tmp_path / "redkitchen/seq-01")
+    assert_refused(tmp_path / "redkitchen", "seq-01 in it is a recording")
+    write_sens(tmp_path / "scene0000_00")
+    assert_refused(tmp_path / "scene0000_00", "scene.sens in it is a recording")
 
 
 def test_names_sort_as_numbers(tmp_path):

@@ -118,8 +118,8 @@ class TrackCommand:
     """Track a recording: tracks, completed meshes, replay and report in one folder."""
 
     recording: Recording
-    """RGB-D recording: a folder (plain color/depth/pose, exported ScanNet, TUM, 7-Scenes) or a
-    ScanNet .sens file"""
+    """RGB-D recording: a folder (plain color/depth/pose, exported ScanNet, TUM, 7-Scenes, 3DMatch,
+    Open3D) or a ScanNet .sens file"""
     out: Path
     """folder for the result"""
     weights: Path | None = None

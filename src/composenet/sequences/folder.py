@@ -23,6 +23,7 @@ from composenet.sequences.source import (
     SourceFrame,
     images_by_stem,
     in_order,
+    posed,
     read_gravity,
     read_intrinsics,
     read_numbers,
@@ -97,7 +98,8 @@ def framed(
         for index, name in enumerate(names)
     )
     if color:
-        warnings = without_colour(frames, f"no file of their name in {color_folder.name}/")
+        where = color_folder.resolve().name
+        warnings = without_colour(frames, f"no file of their name in {where}/")
     return frames, warnings
 
 
@@ -113,24 +115,22 @@ def frames_with_poses(
     """The frames with their poses, and whether the recording has any."""
     folder = _first(path, _POSE_FOLDERS)
     files = {file.stem: file for file in folder.glob("*.txt")}
-    return posed(frames, files, f"no file of its name in {folder.name}/")
+    return with_pose_files(frames, files, f"no file of its name in {folder.name}/")
 
 
-def posed(
+def with_pose_files(
     frames: tuple[SourceFrame, ...], files: Mapping[str, Path], lacking: str
 ) -> tuple[tuple[SourceFrame, ...], bool]:
     """The frames with the poses of files by name, and whether there are any files. lacking: what
     is said of a frame that has none."""
     if not files:
         return frames, False
-    return tuple(_with_pose_of(files.get(frame.name), frame, lacking) for frame in frames), True
+    return tuple(_with_pose_file(frame, files.get(frame.name), lacking) for frame in frames), True
 
 
-def _with_pose_of(path: Path | None, frame: SourceFrame, lacking: str) -> SourceFrame:
-    if frame.problem:
-        return frame
-    if path is None:
-        return replace(frame, problem=f"no pose: {lacking}")
+def _with_pose_file(frame: SourceFrame, path: Path | None, lacking: str) -> SourceFrame:
+    if frame.problem or path is None:
+        return posed(frame, None, lacking)
     try:
         return with_pose(frame, read_numbers(path, 16, "a 4x4 pose").reshape(4, 4))
     except SequenceError:

@@ -15,6 +15,7 @@ from PIL import Image
 from composenet.errors import SequenceError
 
 _MAX_PIXELS = 64_000_000  # a corrupt header may claim any size
+_MAX_BYTES = 256_000_000  # likewise, of a packed image
 _SATURATED = 65535  # what sensors write for "out of range"
 _DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
 Packing = Literal["file", "rgb", "uint16", "zlib uint16"]
@@ -33,6 +34,8 @@ class PackedImage:
 
     def open(self) -> Image.Image:
         """The image. Raises what decoders raise, and SequenceError where it claims to be huge."""
+        if self.length > _MAX_BYTES:
+            raise SequenceError(f"image claims to be of {self.length:,} bytes")
         with self.path.open("rb") as file:
             file.seek(self.offset)
             data = file.read(self.length)

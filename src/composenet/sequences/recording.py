@@ -38,12 +38,12 @@ Watch = Callable[[Sequence[SourceFrame]], Iterable[SourceFrame]]
 class RecordedSequence:
     """Frames of a recording, read one at a time; made by `open_sequence`.
 
-    name: the folder's. camera: of the frames yielded (after subsampling). has_poses: False
-    where every frame is in its camera's own levelled frame. own_poses: whether the poses are the
-    recording's, not those of odometry. T_level_source: (4, 4), maps the world of the poses (with
-    odometry that of the first frame) to the levelled one; identity without poses.
-    Iterate as often as wanted; frames come in order,
-    `Frame.index` counts the recording's frames, skipped ones included.
+    name: the folder's, or the file's without its suffix. camera: of the frames yielded (after
+    subsampling). has_poses: False where every frame is in its camera's own levelled frame.
+    own_poses: whether the poses are the recording's, not those of odometry. T_level_source: (4, 4),
+    maps the world of the poses (with odometry that of the first frame) to the levelled one;
+    identity without poses. Iterate as often as wanted; frames come in order, `Frame.index` counts
+    the recording's frames, skipped ones included.
     """
 
     def __init__(
@@ -54,7 +54,8 @@ class RecordedSequence:
         max_frames: int | None,
         watch: Watch = iter,
     ) -> None:
-        self.name = source.path.resolve().name
+        path = source.path.resolve()
+        self.name = path.stem if path.is_file() else path.name
         source = source.without_poses() if options.odometry else source
         self.own_poses = source.has_poses
         self.has_poses = self.own_poses or options.odometry
@@ -323,15 +324,26 @@ def open_sequence(
         raise SequenceError(f"stride {stride} and max-frames {max_frames} must be 1 or more")
     if not path.exists():
         raise SequenceError(
-            f"{path}: no such folder; a recording is a folder with depth/*.png in it"
+            f"{path}: no such folder or file; a recording is a folder with depth/*.png in it"
         )
+    try:
+        source = _read_source(path)
+    except OSError as error:
+        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
+    return RecordedSequence(source, options or SequenceOptions(), stride, max_frames, watch)
+
+
+def _read_source(path: Path) -> Source:
     for kind in _FORMATS:
         if kind.matches(path):
-            return RecordedSequence(
-                kind.read_source(path), options or SequenceOptions(), stride, max_frames, watch
-            )
+            return kind.read_source(path)
     if not path.is_dir():
         raise SequenceError(f"{path}: is a file, neither a folder nor called *.sens (ScanNet)")
+    inside = (
+        entry.name for entry in sorted(path.iterdir()) if any(k.matches(entry) for k in _FORMATS)
+    )
+    if name := next(inside, None):
+        raise SequenceError(f"{path}: {name} in it is a recording; give that")
     raise SequenceError(
         f"{path}: neither a depth/ folder nor depth.txt (TUM RGB-D) nor *.depth.png (7-Scenes) in "
         "it"

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
 from composenet.sequences.images import PackedImage, Packing
-from composenet.sequences.source import Source, SourceFrame, checked_K, with_pose
+from composenet.sequences.source import (
+    Source,
+    SourceFrame,
+    checked_K,
+    read_gravity,
+    with_pose,
+    without_colour,
+)
 
 _VERSION = 4
 _MAX_NAME = 4096  # bytes; a corrupt file may claim any length
@@ -29,15 +36,16 @@ _FRAME = struct.Struct("<16f4Q")  # camera to world, 2 times, bytes of colour an
 
 @dataclass(frozen=True)
 class _Header:
-    """What stands before the frames."""
+    """What stands before the frames. K_depth: None where it is no intrinsics matrix."""
 
-    K_depth: NDArray[np.float64]
+    K_depth: NDArray[np.float64] | None
     color_packing: Packing | None
     depth_packing: Packing
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
     depth_scale: float
     frames: int
+    warnings: tuple[str, ...]
 
 
 def matches(path: Path) -> bool:
@@ -55,19 +63,20 @@ def read_source(path: Path) -> Source:
         raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
     if not frames:
         raise SequenceError(f"{path}: no frame in it")
-    warnings = []
+    warnings = list(header.warnings)
     if missing := header.frames - len(frames):
-        warnings.append(f"the file ends early: {missing} of its {header.frames} frames are missing")
-    if header.color_packing is None:
-        warnings.append("colour is compressed in an unknown way and left out")
+        warnings.append(f"{missing} of its {header.frames} frames are missing or damaged")
+    if header.color_packing:
+        warnings += without_colour(frames, "the file has none of them")
     return Source(
         path=path,
         frames=frames,
         has_poses=True,
         K=header.K_depth,
-        intrinsics_file="its header",
-        poses_file="a pose a frame",
+        intrinsics_file="the file's header",
+        poses_file="poses in the file",
         depth_scale=header.depth_scale,
+        gravity=read_gravity(path.parent),
         warnings=tuple(warnings),
     )
 
@@ -81,9 +90,16 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
         raise SequenceError(f"{path}: not a .sens file (a sensor name of {length} bytes)")
     file.seek(length, 1)
     *matrices, color, depth, wc, hc, wd, hd, scale, frames = _unpacked(path, file, _HEADER)
-    K = checked_K(path, np.array(matrices[32:48]).reshape(4, 4)[:3, :3])
+    warnings = []
+    try:
+        K = checked_K(path, np.array(matrices[32:48]).reshape(4, 4)[:3, :3])
+    except SequenceError:
+        K = None
     if not (np.isfinite(scale) and scale > 0):
-        raise SequenceError(f"{path}: {scale:g} depth units a metre are impossible")
+        warnings.append(f"{scale:g} depth units a metre, as it says, are impossible: 1000 taken")
+        scale = 1000.0
+    if color not in _COLOR_PACKINGS:
+        warnings.append("colour is compressed in an unknown way and left out")
     if depth not in _DEPTH_PACKINGS:
         raise SequenceError(
             f"{path}: depth compression {depth} cannot be read (0: none, 1: zlib); export it with "
@@ -97,11 +113,12 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
         depth_size=(wd, hd),
         depth_scale=float(scale),
         frames=frames,
+        warnings=tuple(warnings),
     )
 
 
 def _read_frames(path: Path, file: BinaryIO, header: _Header) -> Iterator[SourceFrame]:
-    """All frames whose images lie within the file."""
+    """The frames until one has no depth, or images beyond the file's end."""
     length = path.stat().st_size
     for index in range(header.frames):
         head = file.read(_FRAME.size)
@@ -110,7 +127,7 @@ def _read_frames(path: Path, file: BinaryIO, header: _Header) -> Iterator[Source
         *numbers, _, _, color_bytes, depth_bytes = _FRAME.unpack(head)
         at_color = file.tell()
         at_depth = at_color + color_bytes
-        if at_depth + depth_bytes > length:
+        if not depth_bytes or at_depth + depth_bytes > length:
             return
         color = None
         if color_bytes and header.color_packing:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from composenet.sequences.folder import INTRINSICS_FILE, framed, posed
+from composenet.sequences.folder import INTRINSICS_FILE, framed, with_pose_files
 from composenet.sequences.source import (
     COLOR_SUFFIXES,
     DEPTH_SUFFIXES,
@@ -36,8 +36,8 @@ def read_source(path: Path) -> Source:
     """The recording of such a folder. Raises SequenceError."""
     color = _images(path, _COLOR, COLOR_SUFFIXES)
     frames, warnings = framed(_images(path, _DEPTH, DEPTH_SUFFIXES), color, path)
-    poses = {file.name.removesuffix(_POSE): file for file in path.glob(f"*{_POSE}")}
-    frames, has_poses = posed(frames, poses, f"no file NAME{_POSE}")
+    poses = {file.name.removesuffix(_POSE): file for file in path.glob(f"[!.]*{_POSE}")}
+    frames, has_poses = with_pose_files(frames, poses, f"no file NAME{_POSE}")
     here, above = (folder / INTRINSICS_FILE for folder in (path, path.resolve().parent))
     return Source(
         path=path,

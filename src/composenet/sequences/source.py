@@ -144,6 +144,14 @@ def with_pose(frame: SourceFrame, T: FloatArray) -> SourceFrame:
     return replace(frame, T_source_camera=rigid_T(T))
 
 
+def posed(frame: SourceFrame, T: FloatArray | None, lacking: str) -> SourceFrame:
+    """The frame with its pose. Without one that is its problem, and `lacking` says why; a problem
+    that it has already stays."""
+    if frame.problem:
+        return frame
+    return with_pose(frame, T) if T is not None else replace(frame, problem=f"no pose: {lacking}")
+
+
 def images_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Image files of a folder by name without suffix; empty if there is no folder. Hidden ones
     (`._1.png`, which some file systems keep beside `1.png`) are none."""
