@@ -132,6 +132,7 @@ def score(room: dict[str, Any], sequence: RecordedSequence) -> dict[str, Any]:
     tracker = composenet.load_tracker()
     seen, right, false = Counter(), Counter(), Counter()
     identities: dict[str, Counter[int]] = defaultdict(Counter)
+    told_as: dict[str, Counter[str]] = defaultdict(Counter)
     frames = 0
     for frame in sequence:
         frames += 1
@@ -143,6 +144,9 @@ def score(room: dict[str, Any], sequence: RecordedSequence) -> dict[str, Any]:
             right[shown[i].name] += 1
             identities[shown[i].name][found[j].track_id] += 1
         left = set(range(len(found))) - {j for _, j in pairs}
+        for thing in (thing for i, thing in enumerate(shown) if i not in dict(pairs)):
+            there = {CLASS_NAMES[e.class_id] for e in found if holds(e, thing.points)}
+            told_as[thing.name].update(there or {"nothing"})
         false.update(CLASS_NAMES[found[j].class_id] for j in left if not holds(found[j], anywhere))
     return {
         "from": room["from"],
@@ -158,6 +162,7 @@ def score(room: dict[str, Any], sequence: RecordedSequence) -> dict[str, Any]:
                 "seen": seen[thing.name],
                 "found": right[thing.name],
                 "identities": dict(identities[thing.name]),
+                "else_told_as": dict(told_as[thing.name]),
             }
             for thing in things
         },

@@ -6,6 +6,7 @@ import struct
 import zlib
 from io import BytesIO
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -418,6 +419,14 @@ def test_a_7_scenes_frame_without_its_pose_is_skipped_and_without_any_all_are_ke
     for file in root.glob("*.pose.txt"):
         file.unlink()
     assert len(open_sequence(root)) == COUNT and not open_sequence(root).has_poses
+
+
+@pytest.mark.parametrize("kind", ["sens", "7-scenes"])
+def test_what_may_not_be_read_is_named(kind, tmp_path, monkeypatch):
+    path = WRITERS[kind](tmp_path / kind)
+    refuse = PermissionError(13, "Permission denied")
+    monkeypatch.setattr(Path, "open" if kind == "sens" else "iterdir", Mock(side_effect=refuse))
+    assert_refused(path, path.name, "cannot be read (Permission denied)")
 
 
 def test_hidden_files_beside_7_scenes_are_none(tmp_path):

@@ -55,12 +55,9 @@ def matches(path: Path) -> bool:
 
 def read_source(path: Path) -> Source:
     """The recording of a `.sens` file. Raises SequenceError."""
-    try:
-        with path.open("rb") as file:
-            header = _read_header(path, file)
-            frames = tuple(_read_frames(path, file, header))
-    except OSError as error:
-        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
+    with path.open("rb") as file:
+        header = _read_header(path, file)
+        frames = tuple(_read_frames(path, file, header))
     if not frames:
         raise SequenceError(f"{path}: no frame in it")
     warnings = list(header.warnings)
