@@ -11,15 +11,24 @@ from composenet.synth.collision import Footprint, inside, overlaps
 from composenet.synth.placement import Layout
 
 _ROUND_A_TABLE = 0.6  # share of the sequences with a table
+_AT_A_DESK = 0.45  # share of the training sequences with a desk
 
 
 def move_camera(
-    layout: Layout, paths: NDArray[np.float64], half_view: float
+    layout: Layout, paths: NDArray[np.float64], half_view: float, training: bool = False
 ) -> NDArray[np.float64]:
     """(F, 4, 4) T_room_camera of a hand-held camera: it walks between the furniture or round a
     table, looks at some of it, sweeps, pans away and comes back. half_view: half the horizontal
-    view, radians."""
+    view, radians. training: it may also be held by someone who sits or stands at a desk."""
     rng, frames = layout.rng, len(paths)
+    if training:
+        desks = [i for i, item in enumerate(layout.items) if item.shape.class_name == "desk"]
+        if desks and rng.random() < _AT_A_DESK:
+            for _ in range(6):
+                poses = _at_a_desk(layout, paths, int(rng.choice(desks)))
+                free = _free_places(layout, paths, 0.1, float(poses[:, 2, 3].min()) - 0.1)
+                if all(free(poses[f, :2, 3], f) for f in range(frames)):
+                    return poses
     eye = float(rng.uniform(1.0, 1.8))
     tables = [i for i, item in enumerate(layout.items) if item.shape.class_name == "table"]
     centre = int(rng.choice(tables)) if tables and rng.random() < _ROUND_A_TABLE else None
@@ -31,6 +40,32 @@ def move_camera(
     for f in range(frames):
         poses[f, :3, :3] = look(yaw[f] + shake[f, 0], pitch[f] + shake[f, 1], shake[f, 2])
         poses[f, :3, 3] = [*position[f], height[f]]
+    return poses
+
+
+def _at_a_desk(layout: Layout, paths: NDArray[np.float64], desk: int) -> NDArray[np.float64]:
+    """(F, 4, 4) T_room_camera of a camera that is held over or before the sitter's side of a
+    desk, moves little and looks over it and around."""
+    rng, frames = layout.rng, len(paths)
+    x, y, angle = paths[0, desk]
+    deep, wide, tall = layout.items[desk].extents_m
+    eye = max(float(rng.uniform(1.0, 1.65)), tall + 0.15)
+    forth = deep / 2 + rng.uniform(-0.1, 1.1)
+    aside = rng.uniform(-0.6, 0.6) * wide
+    c, s = np.cos(angle), np.sin(angle)
+    start = np.array([x + forth * c - aside * s, y + forth * s + aside * c, eye])
+    drift = np.cumsum(rng.normal(0, 0.012, (frames, 3)), axis=0) + rng.normal(0, 0.01, (frames, 3))
+    eyes = start + drift * (1.0, 1.0, 0.5)
+    ahead = float(np.arctan2(y - start[1], x - start[0]))
+    swing, period = np.radians(rng.uniform(10, 75)), rng.uniform(12, 40)
+    phase, nod, roll = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.3), rng.uniform(0.02, 0.15)
+    down = float(rng.uniform(0.1, 0.55))
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    for f in range(frames):
+        turn = 2 * np.pi * f / period + phase
+        pitch = down + nod * np.sin(1.7 * turn)
+        poses[f, :3, :3] = look(ahead + swing * np.sin(turn), pitch, roll * np.sin(0.6 * turn))
+        poses[f, :3, 3] = eyes[f]
     return poses
 
 

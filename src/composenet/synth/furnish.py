@@ -12,6 +12,7 @@ from composenet.synth.kitchen import fit_kitchen
 from composenet.synth.placement import Layout
 from composenet.synth.room import make_room
 from composenet.synth.shape import Shape
+from composenet.synth.workplace import fit_desks
 
 MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -> shape
 MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
@@ -27,21 +28,27 @@ ROOM_KINDS = {  # share, shortest and longest side in metres
     "office": (0.12, (3.4, 7.0)),
     "mixed": (0.19, (4.0, 8.0)),
 }
+TRAINING_KINDS = {**ROOM_KINDS, "workplace": (0.3, (3.4, 7.5)), "crowded": (0.1, (3.4, 7.0))}
+"""Training has rooms that are fuller of things too; their shares come on top."""
 
 
-def furnish(rng: np.random.Generator, make: MakeShape, cad_share: float = 0.0) -> Layout:
+def furnish(
+    rng: np.random.Generator, make: MakeShape, cad_share: float = 0.0, training: bool = False
+) -> Layout:
     """A room with 3-9 pieces of furniture and at least 3 other things. cad_share: share of
-    meshes in what `make` returns. Raises DataError where nothing fits."""
-    kinds = list(ROOM_KINDS)
+    meshes in what `make` returns. training: of all kinds of rooms. Raises DataError where
+    nothing fits."""
+    kinds = TRAINING_KINDS if training else ROOM_KINDS
+    share = np.array([kind[0] for kind in kinds.values()])
     for _ in range(MOST_TRIES):
-        kind = str(rng.choice(kinds, p=[ROOM_KINDS[k][0] for k in kinds]))
-        size = rng.uniform(*ROOM_KINDS[kind][1], 2)
+        kind = str(rng.choice(list(kinds), p=share / share.sum()))
+        size = rng.uniform(*kinds[kind][1], 2)
         layout = Layout(make_room(rng, (float(size[0]), float(size[1]))), rng, cad_share)
         _PROGRAMMES[kind](layout, make)
         _fill(layout, make, kind)
         if len(layout.furniture) < MIN_FURNITURE:
             continue
-        _add_clutter(layout, make)
+        _add_clutter(layout, make, most=14 if kind == "crowded" else 5)
         if len(layout.items) - len(layout.furniture) >= MIN_CLUTTER:
             return layout
     raise DataError(
@@ -184,6 +191,36 @@ def _office(layout: Layout, make: MakeShape) -> None:
         _add(layout, make, "sofa")
 
 
+def _workplace(layout: Layout, make: MakeShape) -> None:
+    for _ in range(int(layout.rng.integers(1, 3))):
+        most = min(int(layout.rng.integers(1, 5)), (MAX_FURNITURE - len(layout.furniture)) // 2)
+        fit_desks(layout, make, most)
+    _some(layout, make, "bookshelf", 0, 2)
+    _some(layout, make, "cabinet", 0, 2)
+    _some(layout, make, "table", 0, 1)
+
+
+def _crowded(layout: Layout, make: MakeShape) -> None:
+    """Sitting groups: chairs around low and high tables, often behind a sofa."""
+    if layout.rng.random() < 0.7:
+        _sofa_group(layout, make)
+    for _ in range(int(layout.rng.integers(1, 3))):
+        _chairs_around(layout, make)
+    _some(layout, make, "table", 0, 2)
+    _some(layout, make, "cabinet", 0, 1)
+
+
+def _chairs_around(layout: Layout, make: MakeShape) -> None:
+    """Chairs of one kind, with or without a small table, turned towards each other."""
+    if _full(layout) or not layout.free(make("table"), 0.1):
+        return
+    table, chair = len(layout.items) - 1, make("chair")
+    for angle in layout.rng.permutation(4)[: int(layout.rng.integers(1, 5))] * np.pi / 2:
+        if not _full(layout):
+            gap, turn = layout.rng.uniform(0.03, 0.4), layout.rng.normal(0, 0.3)
+            layout.beside(table, chair, float(angle), float(gap), float(np.pi + turn))
+
+
 def _fill(layout: Layout, make: MakeShape, kind: str) -> None:
     """More of the room's own furniture where its floor is large."""
     floor_m2 = layout.room.size_m[0] * layout.room.size_m[1]
@@ -200,6 +237,8 @@ _MORE = {
     "dining": ("table", "chair", "cabinet", "sink", "sofa"),
     "office": ("desk", "bookshelf", "cabinet", "table", "sofa"),
     "mixed": CLASS_NAMES,
+    "workplace": ("bookshelf", "cabinet", "sofa", "table", "chair"),
+    "crowded": ("chair", "table", "sofa", "bookshelf", "cabinet"),
 }
 
 # Classes that other rooms hold often stand here seldom.
@@ -221,14 +260,17 @@ _PROGRAMMES: dict[str, Callable[[Layout, MakeShape], None]] = {
     "dining": _dining,
     "office": _office,
     "mixed": _mixed,
+    "workplace": _workplace,
+    "crowded": _crowded,
 }
 
 
-def _add_clutter(layout: Layout, make: MakeShape) -> None:
-    """Small things on furniture, and lamps, plants, boxes on the floor."""
+def _add_clutter(layout: Layout, make: MakeShape, most: int) -> None:
+    """Small things on furniture, fewer than `most` on each, and lamps, plants, boxes on the
+    floor."""
     holders = [i for i in layout.furniture if layout.items[i].shape.class_name in _HOLDERS]
     for index in holders:
-        for _ in range(int(layout.rng.integers(0, 5))):
+        for _ in range(int(layout.rng.integers(0, most))):
             layout.on_top(index, make("small clutter"))
     on_floor = 0
     wanted = int(layout.rng.integers(2, 6))

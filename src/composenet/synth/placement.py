@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from composenet.synth.collision import Item, inside, overlaps, touches
 from composenet.synth.columns import height_map
@@ -158,32 +159,76 @@ class Layout:
         at = (x + reach * c - aside_m * s, y + reach * s + aside_m * c)
         return self.place(shape, float(at[0]), float(at[1]), yaw + angle + yaw_offset, 0.01)
 
+    def flush(self, index: int, shape: Shape, angle: float, yaw_offset: float) -> bool:
+        """Right at the item's side in the direction `angle`, middle to middle."""
+        return self._at_side(index, shape, angle, 0.0, 0.012, yaw_offset)
+
     def on_top(self, index: int, shape: Shape) -> bool:
         """Standing on a flat part of an item's upper side."""
-        item = self.items[index]
-        ex, ey, ez = shape.extents_m
-        tops, cell = height_map(item.shape)
-        nx, ny = (int(np.ceil(max(ex, ey) / c)) + 1 for c in cell)
+        tops, cell = height_map(self.items[index].shape)
+        nx, ny = _cells(np.full(2, shape.extents_m[:2].max()), cell)
         if nx >= tops.shape[0] or ny >= tops.shape[1]:
             return False
-        others = [o for o in self.items if o.support == index or o.shape.mount_m]
-        places = np.array([o.place for o in others])
         for _ in range(12):
             i = int(self.rng.integers(tops.shape[0] - nx))
             j = int(self.rng.integers(tops.shape[1] - ny))
-            patch = tops[i : i + nx, j : j + ny]
-            if not np.isfinite(patch).all() or np.ptp(patch) > 0.01:
+            height = _flat_m(tops[i : i + nx, j : j + ny])
+            if height is None:
                 continue
-            dx = (i + nx / 2) * cell[0] - item.extents_m[0] / 2
-            dy = (j + ny / 2) * cell[1] - item.extents_m[1] / 2
-            c, s = np.cos(item.yaw), np.sin(item.yaw)
-            x, y = item.xyz[0] + c * dx - s * dy, item.xyz[1] + s * dx + c * dy
             yaw = float(self.rng.uniform(-np.pi, np.pi))
-            z = item.xyz[2] + float(patch.max()) + ez / 2
-            if z + ez / 2 > self.room.height_m:
+            if self._too_tall(index, shape, height):
                 return False
-            thing = Item(shape, (float(x), float(y), z), yaw, index)
-            if not touches(thing, thing.place, others, places, 0.01):
-                self.items.append(thing)
+            middle = (i + nx / 2) * cell[0], (j + ny / 2) * cell[1]
+            if self._set_down(index, shape, middle, height, yaw):
                 return True
         return False
+
+    def on_top_at(self, index: int, shape: Shape, x: float, y: float, yaw: float) -> bool:
+        """Standing on an item's upper side at x, y from its middle, turned by yaw from it, if
+        that is flat and free."""
+        item = self.items[index]
+        tops, cell = height_map(item.shape)
+        c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
+        nx, ny = _cells(np.array([[c, s], [s, c]]) @ shape.extents_m[:2], cell)
+        middle = x + item.extents_m[0] / 2, y + item.extents_m[1] / 2
+        i, j = int(middle[0] / cell[0] - nx / 2), int(middle[1] / cell[1] - ny / 2)
+        if min(i, j) < 0 or i + nx > tops.shape[0] or j + ny > tops.shape[1]:
+            return False
+        height = _flat_m(tops[i : i + nx, j : j + ny])
+        if height is None or self._too_tall(index, shape, height):
+            return False
+        return self._set_down(index, shape, middle, height, item.yaw + yaw)
+
+    def _too_tall(self, index: int, shape: Shape, height_m: float) -> bool:
+        """Whether the shape would reach through the ceiling."""
+        top = self.items[index].xyz[2] + height_m + shape.extents_m[2]
+        return bool(top > self.room.height_m)
+
+    def _set_down(
+        self, index: int, shape: Shape, middle: tuple[float, float], height_m: float, yaw: float
+    ) -> bool:
+        """Stand the shape on an item, middle from the corner of its footprint, if that is free."""
+        item = self.items[index]
+        others = [o for o in self.items if o.support == index or o.shape.mount_m]
+        dx, dy = (m - e / 2 for m, e in zip(middle, item.extents_m, strict=False))
+        c, s = np.cos(item.yaw), np.sin(item.yaw)
+        x, y = item.xyz[0] + c * dx - s * dy, item.xyz[1] + s * dx + c * dy
+        z = item.xyz[2] + height_m + float(shape.extents_m[2]) / 2
+        thing = Item(shape, (float(x), float(y), z), yaw, index)
+        if touches(thing, thing.place, others, np.array([o.place for o in others]), 0.01):
+            return False
+        self.items.append(thing)
+        return True
+
+
+def _cells(size_m: NDArray[np.float64], cell: NDArray[np.float64]) -> tuple[int, int]:
+    """Cells of a height map that something of a size (2,) covers."""
+    nx, ny = (int(np.ceil(s / c)) + 1 for s, c in zip(size_m, cell, strict=True))
+    return nx, ny
+
+
+def _flat_m(patch: NDArray[np.float64]) -> float | None:
+    """The height of a part of a height map, above the item's middle, where it is flat."""
+    if not np.isfinite(patch).all() or np.ptp(patch) > 0.01:
+        return None
+    return float(patch.max())

@@ -37,9 +37,9 @@ from composenet.synth.sensor import Sensor, measure, sample_sensor
 from composenet.synth.shading import Light, shade
 from composenet.synth.shape import Shape
 
-GENERATOR_VERSIONS = {"train": 4, "val": 3, "test": 3}
+GENERATOR_VERSIONS = {"train": 5, "val": 3, "test": 3}
 """What is made of the numbers that are drawn."""
-DRAWN_BY = {"train": 3, "val": 2, "test": 2}
+DRAWN_BY = {"train": 4, "val": 2, "test": 2}
 """Keys of these numbers: rooms, furniture and walks of val and test are fixed; what training draws
 from has grown since."""
 SPLITS = tuple(GENERATOR_VERSIONS)
@@ -227,15 +227,16 @@ def generate_scene(split: str, index: int, options: SceneOptions = DEFAULT_OPTIO
     as expected.
     """
     rng = _rng(split, index, 0)
-    make = _shape_source(rng, options, split == "train")
+    training = split == "train"
+    make = _shape_source(rng, options, training)
     camera = _camera(rng, options.image_size)
     half_view = float(np.arctan(camera.width / 2 / camera.K[0, 0]))
     while True:
-        layout = furnish(rng, make, options.cad_share if options.cad_dir else 0.0)
+        layout = furnish(rng, make, options.cad_share if options.cad_dir else 0.0, training)
         paths = move_items(layout, options.frames)
         if paths is None:
             continue
-        T_room_camera = move_camera(layout, paths, half_view)
+        T_room_camera = move_camera(layout, paths, half_view, training)
         if not _runs_into(layout, paths, T_room_camera[:, :3, 3]):
             break
     T_world_room = make_T(rotation_z(rng.uniform(-np.pi, np.pi)), np.zeros(3))
