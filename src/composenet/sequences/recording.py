@@ -16,7 +16,8 @@ from composenet.errors import SequenceError
 from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, Frame
-from composenet.sequences import checks, folder, open3d, scannet, sens, seven_scenes, tum
+from composenet.sequences import checks
+from composenet.sequences.formats import read_source
 from composenet.sequences.images import image_size, read_color, read_depth
 from composenet.sequences.leveling import (
     CAMERA_UP,
@@ -29,7 +30,6 @@ from composenet.sequences.odometry import Odometry
 from composenet.sequences.options import SequenceOptions
 from composenet.sequences.source import Source, SourceFrame, counted, make_K
 
-_FORMATS = (tum, scannet, open3d, folder, seven_scenes, sens)
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
 _SOON = (3, 12)  # so many frames on, by its length, depth must still fit by the poses
 Watch = Callable[[Sequence[SourceFrame]], Iterable[SourceFrame]]
@@ -322,29 +322,6 @@ def open_sequence(
     path = Path(path)
     if stride < 1 or (max_frames is not None and max_frames < 1):
         raise SequenceError(f"stride {stride} and max-frames {max_frames} must be 1 or more")
-    if not path.exists():
-        raise SequenceError(
-            f"{path}: no such folder or file; a recording is a folder with depth/*.png in it"
-        )
-    try:
-        source = _read_source(path)
-    except OSError as error:
-        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
-    return RecordedSequence(source, options or SequenceOptions(), stride, max_frames, watch)
-
-
-def _read_source(path: Path) -> Source:
-    for kind in _FORMATS:
-        if kind.matches(path):
-            return kind.read_source(path)
-    if not path.is_dir():
-        raise SequenceError(f"{path}: is a file, neither a folder nor called *.sens (ScanNet)")
-    inside = (
-        entry.name for entry in sorted(path.iterdir()) if any(k.matches(entry) for k in _FORMATS)
-    )
-    if name := next(inside, None):
-        raise SequenceError(f"{path}: {name} in it is a recording; give that")
-    raise SequenceError(
-        f"{path}: neither a depth/ folder nor depth.txt (TUM RGB-D) nor *.depth.png (7-Scenes) in "
-        "it"
+    return RecordedSequence(
+        read_source(path), options or SequenceOptions(), stride, max_frames, watch
     )
