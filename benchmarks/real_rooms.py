@@ -33,7 +33,7 @@ from composenet.geometry.camera import back_project, project
 from composenet.geometry.transform import apply_T, inverse_T
 from composenet.metrics.report import RunInfo
 from composenet.network.weights import default_weights, weights_id
-from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject
+from composenet.records import FloatArray, Frame, TrackedObject
 from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence
 
 ROOMS = Path(__file__).with_suffix(".json")
@@ -115,7 +115,7 @@ def matches(things: list[Thing], found: list[TrackedObject]) -> Iterator[tuple[i
     """Pairs (thing, object) of right classes, each in at most one of them."""
     fits = np.array(
         [
-            [CLASS_NAMES[e.class_id] in thing.classes and holds(e, thing.points) for e in found]
+            [e.class_name in thing.classes and holds(e, thing.points) for e in found]
             for thing in things
         ],
         float,
@@ -145,9 +145,9 @@ def score(room: dict[str, Any], sequence: RecordedSequence) -> dict[str, Any]:
             identities[shown[i].name][found[j].track_id] += 1
         left = set(range(len(found))) - {j for _, j in pairs}
         for thing in (thing for i, thing in enumerate(shown) if i not in dict(pairs)):
-            there = {CLASS_NAMES[e.class_id] for e in found if holds(e, thing.points)}
+            there = {e.class_name for e in found if holds(e, thing.points)}
             told_as[thing.name].update(there or {"nothing"})
-        false.update(CLASS_NAMES[found[j].class_id] for j in left if not holds(found[j], anywhere))
+        false.update(found[j].class_name for j in left if not holds(found[j], anywhere))
     return {
         "from": room["from"],
         "frames": frames,

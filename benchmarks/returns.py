@@ -30,7 +30,6 @@ from composenet.geometry.box import OrientedBox
 from composenet.metrics.evaluate import posed_truths, tracking_frames
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
-from composenet.records import CLASS_NAMES
 from composenet.sequences import open_sequence
 from composenet.synth.dataset import read_truth
 from composenet.view.figures import ColoredBox, track_color
@@ -183,7 +182,7 @@ def _tile(
     frame = next(frame for frame in open_sequence(folder) if frame.index == place)
     boxes = []
     for entry in scored.tracked[place]:
-        S, name = entry.S_world_canonical, f"{CLASS_NAMES[entry.class_id]} {entry.track_id}"
+        S, name = entry.S_world_canonical, f"{entry.class_name} {entry.track_id}"
         red, green, blue = track_color(entry.track_id).tolist()
         label = name if entry.track_id == track_id else ""
         if entry.observed:

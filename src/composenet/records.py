@@ -241,6 +241,14 @@ class Similarity:
     R: FloatArray
     t: FloatArray
 
+    @property
+    def T_world_object(self) -> NDArray[np.float64]:
+        """(4, 4) rigid pose of the object's own axes, in metres: the similarity without its
+        scale."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.R, self.t
+        return T
+
 
 @dataclass(frozen=True)
 class ObjectEstimate:
@@ -269,6 +277,11 @@ class ObjectEstimate:
         """The likeliest class."""
         return int(np.argmax(self.class_probabilities))
 
+    @property
+    def class_name(self) -> str:
+        """Its name."""
+        return CLASS_NAMES[self.class_id]
+
 
 @dataclass(frozen=True)
 class TrackedObject:
@@ -288,6 +301,16 @@ class TrackedObject:
     extents_m: FloatArray
     observed: bool
 
+    @property
+    def class_name(self) -> str:
+        """The name of its class, one of CLASS_NAMES."""
+        return CLASS_NAMES[self.class_id]
+
+    @property
+    def T_world_object(self) -> NDArray[np.float64]:
+        """(4, 4) rigid pose of its own axes (x front, y left, z up), metres."""
+        return self.S_world_canonical.T_world_object
+
 
 @dataclass(frozen=True)
 class Track:
@@ -303,6 +326,11 @@ class Track:
     class_id: int
     history: tuple[TrackedObject, ...]
     canonical: FloatArray
+
+    @property
+    def class_name(self) -> str:
+        """The name of its class, one of CLASS_NAMES."""
+        return CLASS_NAMES[self.class_id]
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def _object(entry: TrackedObject, wxyz: FloatArray) -> dict[str, Any]:
     S = entry.S_world_canonical
     return {
         "id": int(entry.track_id),
-        "class": CLASS_NAMES[entry.class_id],
+        "class": entry.class_name,
         "state": entry.state.value,
         "confidence": float(entry.confidence),
         "observed": bool(entry.observed),
@@ -95,7 +95,7 @@ def _object(entry: TrackedObject, wxyz: FloatArray) -> dict[str, Any]:
 def _line(entry: TrackedObject, wxyz: FloatArray) -> str:
     scale = entry.S_world_canonical.scale_m
     numbers = [*entry.box.center, *entry.box.extents, *wxyz, scale]
-    head = f"{entry.frame_index},{entry.track_id},{CLASS_NAMES[entry.class_id]}"
+    head = f"{entry.frame_index},{entry.track_id},{entry.class_name}"
     text = ",".join(f"{value:.6f}" for value in numbers)
     return f"{head},{entry.confidence:.6f},{text},{entry.state.value}"
 

@@ -105,6 +105,6 @@ def _tracked_boxes(tracked: Sequence[TrackedObject], errors: FrameErrors) -> Ite
         S = entry.S_world_canonical
         box = OrientedBox(S.t, S.R, entry.extents_m)
         if entry.track_id in errors.false and entry.state in SEEN_STATES:
-            yield ColoredBox(box, _FALSE, f"{CLASS_NAMES[entry.class_id]} {entry.track_id}")
+            yield ColoredBox(box, _FALSE, f"{entry.class_name} {entry.track_id}")
         elif entry.state in SEEN_STATES:
             yield ColoredBox(box, _RIGHT)

@@ -54,17 +54,20 @@ def _at_a_desk(layout: Layout, paths: NDArray[np.float64], desk: int) -> NDArray
     aside = rng.uniform(-0.6, 0.6) * wide
     c, s = np.cos(angle), np.sin(angle)
     start = np.array([x + forth * c - aside * s, y + forth * s + aside * c, eye])
-    drift = np.cumsum(rng.normal(0, 0.012, (frames, 3)), axis=0) + rng.normal(0, 0.01, (frames, 3))
-    eyes = start + drift * (1.0, 1.0, 0.5)
+    drift = np.cumsum(rng.normal(0, 0.012, (frames, 3)), axis=0)
+    eyes = start + drift * (1.0, 1.0, 0.5) + 0.01 * _smooth_noise(rng, frames, 3)
+    shake = _smooth_noise(rng, frames, 3) * np.radians([1.2, 1.2, 2.5])
     ahead = float(np.arctan2(y - start[1], x - start[0]))
     swing, period = np.radians(rng.uniform(10, 75)), rng.uniform(12, 40)
+    period = max(period, 2 * np.pi * swing / np.radians(20))  # no faster than a hand turns
     phase, nod, roll = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.3), rng.uniform(0.02, 0.15)
     down = float(rng.uniform(0.1, 0.55))
     poses = np.tile(np.eye(4), (frames, 1, 1))
     for f in range(frames):
         turn = 2 * np.pi * f / period + phase
-        pitch = down + nod * np.sin(1.7 * turn)
-        poses[f, :3, :3] = look(ahead + swing * np.sin(turn), pitch, roll * np.sin(0.6 * turn))
+        yaw, pitch = ahead + swing * np.sin(turn), down + nod * np.sin(1.7 * turn)
+        tilt = roll * np.sin(0.6 * turn)
+        poses[f, :3, :3] = look(yaw + shake[f, 0], pitch + shake[f, 1], tilt + shake[f, 2])
         poses[f, :3, 3] = eyes[f]
     return poses
 

@@ -12,7 +12,7 @@ from composenet.synth.kitchen import fit_kitchen
 from composenet.synth.placement import Layout
 from composenet.synth.room import make_room
 from composenet.synth.shape import Shape
-from composenet.synth.workplace import fit_desks
+from composenet.synth.workplace import dress, fit_desks
 
 MakeShape = Callable[[str], Shape]  # class name, "clutter" or "small clutter" -> shape
 MIN_FURNITURE, MAX_FURNITURE, MIN_CLUTTER = 3, 9, 3
@@ -30,6 +30,8 @@ ROOM_KINDS = {  # share, shortest and longest side in metres
 }
 TRAINING_KINDS = {**ROOM_KINDS, "workplace": (0.3, (3.4, 7.5)), "crowded": (0.1, (3.4, 7.0))}
 """Training has rooms that are fuller of things too; their shares come on top."""
+_THINGS, _FULLER = 5, {"crowded": 14}
+"""Fewer small things than that lie on a piece of furniture."""
 
 
 def furnish(
@@ -48,7 +50,7 @@ def furnish(
         _fill(layout, make, kind)
         if len(layout.furniture) < MIN_FURNITURE:
             continue
-        _add_clutter(layout, make, most=14 if kind == "crowded" else 5)
+        _add_clutter(layout, make, _FULLER.get(kind, _THINGS))
         if len(layout.items) - len(layout.furniture) >= MIN_CLUTTER:
             return layout
     raise DataError(
@@ -192,16 +194,19 @@ def _office(layout: Layout, make: MakeShape) -> None:
 
 
 def _workplace(layout: Layout, make: MakeShape) -> None:
+    desks: list[int] = []
     for _ in range(int(layout.rng.integers(1, 3))):
         most = min(int(layout.rng.integers(1, 5)), (MAX_FURNITURE - len(layout.furniture)) // 2)
-        fit_desks(layout, make, most)
+        desks += fit_desks(layout, make, most)
     _some(layout, make, "bookshelf", 0, 2)
     _some(layout, make, "cabinet", 0, 2)
     _some(layout, make, "table", 0, 1)
+    for desk in desks:
+        dress(layout, make, desk)
 
 
 def _crowded(layout: Layout, make: MakeShape) -> None:
-    """Sitting groups: chairs around low and high tables, often behind a sofa."""
+    """Sitting groups, most of them beside a sofa, and small tables."""
     if layout.rng.random() < 0.7:
         _sofa_group(layout, make)
     for _ in range(int(layout.rng.integers(1, 3))):
@@ -211,7 +216,7 @@ def _crowded(layout: Layout, make: MakeShape) -> None:
 
 
 def _chairs_around(layout: Layout, make: MakeShape) -> None:
-    """Chairs of one kind, with or without a small table, turned towards each other."""
+    """One to four chairs of a kind around a table of any height, turned to it more or less."""
     if _full(layout) or not layout.free(make("table"), 0.1):
         return
     table, chair = len(layout.items) - 1, make("chair")

@@ -191,7 +191,7 @@ class Layout:
         c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
         nx, ny = _cells(np.array([[c, s], [s, c]]) @ shape.extents_m[:2], cell)
         middle = x + item.extents_m[0] / 2, y + item.extents_m[1] / 2
-        i, j = int(middle[0] / cell[0] - nx / 2), int(middle[1] / cell[1] - ny / 2)
+        i, j = round(middle[0] / cell[0] - nx / 2), round(middle[1] / cell[1] - ny / 2)
         if min(i, j) < 0 or i + nx > tops.shape[0] or j + ny > tops.shape[1]:
             return False
         height = _flat_m(tops[i : i + nx, j : j + ny])
@@ -210,7 +210,7 @@ class Layout:
         """Stand the shape on an item, middle from the corner of its footprint, if that is free."""
         item = self.items[index]
         others = [o for o in self.items if o.support == index or o.shape.mount_m]
-        dx, dy = (m - e / 2 for m, e in zip(middle, item.extents_m, strict=False))
+        dx, dy = (m - e / 2 for m, e in zip(middle, item.extents_m[:2], strict=True))
         c, s = np.cos(item.yaw), np.sin(item.yaw)
         x, y = item.xyz[0] + c * dx - s * dy, item.xyz[1] + s * dx + c * dy
         z = item.xyz[2] + height_m + float(shape.extents_m[2]) / 2
@@ -228,7 +228,7 @@ def _cells(size_m: NDArray[np.float64], cell: NDArray[np.float64]) -> tuple[int,
 
 
 def _flat_m(patch: NDArray[np.float64]) -> float | None:
-    """The height of a part of a height map, above the item's middle, where it is flat."""
+    """The height of a part of a height map, above the item's middle; None where it is not flat."""
     if not np.isfinite(patch).all() or np.ptp(patch) > 0.01:
         return None
     return float(patch.max())

@@ -7,39 +7,41 @@ from collections.abc import Callable
 
 import numpy as np
 
-from composenet.synth.furniture.clutter_people import sitting
-from composenet.synth.furniture.clutter_small import keyboard, monitor, picture_tube
+from composenet.synth.furniture.clutter_desk import keyboard, screen
 from composenet.synth.placement import Layout
 from composenet.synth.shape import Shape
 
-_CROWDED, _PEOPLED = 0.6, 0.15
+_CROWDED = 0.6
+_REACH_M = 0.36
+"""How far in front of a screen its keyboard lies, if the desk is deep enough."""
+_FROM_EDGE_M = 0.06
 
 
-def fit_desks(layout: Layout, make: Callable[[str], Shape], most: int) -> None:
+def fit_desks(layout: Layout, make: Callable[[str], Shape], most: int) -> list[int]:
     """At most `most` desks of one kind, flush beside each other along a wall or back to back in
-    the room; most of them have screens and a chair, all are furnished with what is used there."""
+    the room, most of them with a chair. Returns the desks."""
+    if most < 1:
+        return []
     rng, desk = layout.rng, make("desk")
     if rng.random() < 0.5:
         walls = [w for w in layout.room.walls if w.length_m > desk.extents_m[1] + 0.1]
         if not walls:
-            return
+            return []
         wall = walls[int(rng.integers(len(walls)))]
         start = float(rng.uniform(0.02, wall.length_m - desk.extents_m[1] - 0.05))
         placed = [i for i in layout.row(wall, start, [desk] * most) if i is not None]
     else:
-        placed = _island(layout, desk, most)
+        placed = island(layout, desk, most)
     chair = make("chair")
     for index in placed:
-        dress(layout, make, index)
-        if rng.random() < _PEOPLED:
-            layout.tuck(index, sitting(rng), 0.0, 0.0)
-        elif rng.random() < 0.85:
+        if rng.random() < 0.85:
             layout.tuck(index, chair, 0.0, float(rng.normal(0, 0.15)))
+    return placed
 
 
-def _island(layout: Layout, desk: Shape, most: int) -> list[int]:
-    """Desks in the middle of a room: the first where there is space, others at its back and
-    side."""
+def island(layout: Layout, desk: Shape, most: int) -> list[int]:
+    """Up to four desks in the middle of a room: the first where there is space, others at its back
+    and side. Returns them."""
     if not layout.free(desk, 0.3):
         return []
     first = len(layout.items) - 1
@@ -60,14 +62,30 @@ def dress(layout: Layout, make: Callable[[str], Shape], index: int) -> None:
     rng, (deep, wide, _) = layout.rng, layout.items[index].extents_m
     screens = int(rng.choice([0, 1, 1, 2, 2, 3]))
     middle = float(rng.normal(0, 0.1 * wide))
+    stood = []
     for k in range(screens):
         aside = middle + (k - (screens - 1) / 2) * float(rng.uniform(0.5, 0.62))
-        back = -deep / 2 + float(rng.uniform(0.2, 0.32))
-        screen = picture_tube(rng) if rng.random() < 0.2 else monitor(rng)
-        layout.on_top_at(index, screen, back, aside, float(rng.normal(0, 0.2)))
-    if screens:
-        front = deep / 2 - float(rng.uniform(0.15, 0.28))
-        layout.on_top_at(index, keyboard(rng), front, middle, float(rng.normal(0, 0.1)))
+        back = _stand_at_the_back(layout, index, screen(rng), aside, float(rng.normal(0, 0.2)))
+        if back is not None:
+            stood.append((back, aside))
+    if stood:
+        (back, aside), board = stood[len(stood) // 2], keyboard(rng)
+        forth = back + _REACH_M + float(rng.uniform(0.0, 0.1))
+        edge = float(deep) / 2 - float(board.extents_m[0]) / 2 - _FROM_EDGE_M
+        layout.on_top_at(index, board, min(forth, edge), aside, float(rng.normal(0, 0.1)))
     many = rng.random() < _CROWDED
     for _ in range(int(rng.integers(5, 14) if many else rng.integers(0, 5))):
         layout.on_top(index, make("small clutter"))
+
+
+def _stand_at_the_back(
+    layout: Layout, index: int, shape: Shape, aside: float, yaw: float
+) -> float | None:
+    """Stand it on a desk, so far aside, as far back as there is a flat and free place. Returns how
+    far forth that is from the desk's middle, or None."""
+    deep, half = float(layout.items[index].extents_m[0]), float(shape.extents_m[0]) / 2
+    first = -deep / 2 + half + float(layout.rng.uniform(0.04, 0.14))
+    for back in np.arange(first, deep / 2 - half, 0.06):
+        if layout.on_top_at(index, shape, float(back), aside, yaw):
+            return float(back)
+    return None

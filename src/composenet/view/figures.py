@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import project, resize_camera
 from composenet.geometry.transform import apply_T, inverse_T
-from composenet.records import CLASS_NAMES, Camera, FloatArray, Frame, TrackedObject, TrackState
+from composenet.records import Camera, FloatArray, Frame, TrackedObject, TrackState
 
 STATE_COLORS: dict[TrackState, str] = {
     TrackState.TRACKED: "#1f9e77",
@@ -75,7 +75,7 @@ def track_hex(track_id: int) -> str:
 
 def label_of(entry: TrackedObject) -> str:
     """Short text: id, class and, unless plainly tracked, the state."""
-    text = f"{entry.track_id} {CLASS_NAMES[entry.class_id]}"
+    text = f"{entry.track_id} {entry.class_name}"
     return text if entry.state is TrackState.TRACKED else f"{text} ({entry.state.value})"
 
 

@@ -95,8 +95,20 @@ def track_mesh(track: Track) -> trimesh.Trimesh | None:
 
     None when the track has no history or its reconstruction is empty.
     """
+    mesh = object_mesh(track)
+    return mesh.apply_transform(last_observed(track.history).T_world_object) if mesh else None
+
+
+def object_mesh(track: Track) -> trimesh.Trimesh | None:
+    """Watertight mesh of a track in its own axes (x front, y left, z up), metres: of the size it
+    had when last observed. `T_world_object` of an entry moves it to where it was in that frame.
+
+    None when the track has no history or its reconstruction is empty.
+    """
     mesh = canonical_mesh(track.canonical) if track.history else None
-    return place(mesh, last_observed(track.history).S_world_canonical) if mesh else None
+    return (
+        mesh.apply_scale(last_observed(track.history).S_world_canonical.scale_m) if mesh else None
+    )
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:

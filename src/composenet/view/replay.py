@@ -20,7 +20,7 @@ from rich.console import Console
 
 from composenet.errors import DataError
 from composenet.geometry.transform import quaternion_from_rotation
-from composenet.records import CLASS_NAMES, FloatArray, Frame, TrackedObject, TrackState
+from composenet.records import FloatArray, Frame, TrackedObject, TrackState
 from composenet.view.figures import STATE_COLORS, label_of, track_color
 
 INSTALL_HINT = "no replay.rrd: rerun is not installed; pip install 'composenet[viz]' adds it"
@@ -238,7 +238,7 @@ class RerunReplay:
 
     def _log_state(self, entry: TrackedObject) -> None:
         rr = self._rr
-        first_name = f"states/track_{entry.track_id}_{CLASS_NAMES[entry.class_id]}"
+        first_name = f"states/track_{entry.track_id}_{entry.class_name}"
         new = entry.track_id not in self._entities
         entity = self._entities.setdefault(entry.track_id, first_name)
         if new:

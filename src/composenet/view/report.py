@@ -256,7 +256,7 @@ def _page_data(
     items = []
     for picture in pictures:
         frame = run.frames[picture.position]
-        names = [f"{e.track_id} {CLASS_NAMES[e.class_id]} {e.state.value}" for e in frame.objects]
+        names = [f"{e.track_id} {e.class_name} {e.state.value}" for e in frame.objects]
         items.append(
             {
                 "frame": frame.index,
