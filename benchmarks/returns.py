@@ -31,7 +31,7 @@ from composenet.metrics.evaluate import posed_truths, tracking_frames
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 from composenet.view.figures import ColoredBox, track_color
 
 MOVED_M = MATCH_GATE_M

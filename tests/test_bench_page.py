@@ -19,7 +19,7 @@ from composenet.metrics.clear import FrameErrors
 from composenet.metrics.report import RunInfo
 from composenet.records import Box, Similarity, TrackedObject, TrackState
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 
 MISSED, FALSE = (214, 150, 0), (214, 40, 50)
 INFO = RunInfo("tiny", 0, "composenet bench", "w")

@@ -30,7 +30,7 @@ from composenet.records import (
     TrackState,
 )
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 from fake_tracks import box_grid, make_object
 
 EXTENTS = np.array([0.6, 1.2, 0.8])

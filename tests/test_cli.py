@@ -24,7 +24,7 @@ from composenet.commands.score_cache import ScoreCache, kept_sequences
 from composenet.errors import DataError
 from composenet.metrics.tracklets import TrackletCompletion
 from composenet.predictions import read_predictions
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 
 COMMANDS = ("demo", "synth", "train", "track", "eval", "view")
 PROGRAM = [sys.executable, "-m", "composenet"]

@@ -14,7 +14,7 @@ import trimesh
 from PIL import Image
 
 from composenet.errors import DataError
-from composenet.synth import cad, dataset
+from composenet.synth import cad, dataset, sequence_folder
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
 
 OPTIONS = SceneOptions(frames=3, image_size=(160, 120))
@@ -29,7 +29,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 
 def test_truth_comes_back_exactly(written: tuple[Scene, Path]) -> None:
     scene, folder = written
-    ours, theirs = scene.truth, dataset.read_truth(folder)
+    ours, theirs = scene.truth, sequence_folder.read_truth(folder)
     assert theirs.image_size == ours.image_size == (160, 120)
     for a, b in zip(ours.objects, theirs.objects, strict=True):
         assert (a.gt_id, a.class_id, a.symmetry, a.recipe) == (
@@ -119,7 +119,7 @@ def test_damaged_shapes_are_told_of(written: tuple[Scene, Path], tmp_path: Path)
     for content in (whole[: len(whole) // 2], b"", spoiled):
         path.write_bytes(content)
         with pytest.raises(DataError, match="damaged"):
-            dataset.read_truth(folder)
+            sequence_folder.read_truth(folder)
 
 
 def test_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,7 +187,7 @@ def test_bad_annotations_give_one_line(
         del data["objects"][0]["class"]
         (tmp_path / "annotations.json").write_text(json.dumps(data))
     with pytest.raises(DataError, match=r"annotations\.json") as caught:
-        dataset.read_truth(tmp_path)
+        sequence_folder.read_truth(tmp_path)
     assert "\n" not in str(caught.value)
 
 

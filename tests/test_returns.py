@@ -32,7 +32,7 @@ from composenet.records import (
     TrackState,
 )
 from composenet.sequences import open_sequence
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 from fake_tracks import make_object
 
 SEEN, FEW = 900, 10

@@ -12,7 +12,7 @@ from composenet.baselines.records import InstanceMasks
 from composenet.errors import DataError
 from composenet.geometry.camera import subsampled
 from composenet.records import Frame
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 
 
 class TrueMasks:

@@ -30,7 +30,7 @@ from composenet.files import write_atomic
 from composenet.geometry.transform import inverse_T
 from composenet.metrics.report import RunInfo, sections, to_markdown, write_results
 from composenet.predictions import PredictedSequence, read_predictions
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 
 SAME_POSE = 0.01
 """metres, and entries of rotations: poses of one camera differ by less"""

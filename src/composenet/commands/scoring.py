@@ -29,7 +29,7 @@ from composenet.records import (
     TrackedObject,
 )
 from composenet.sequences.recording import RecordedSequence
-from composenet.synth.dataset import read_truth
+from composenet.synth.sequence_folder import read_truth
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "full": {"use_correspondences": True, "use_completion": True},

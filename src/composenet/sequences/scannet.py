@@ -1,4 +1,4 @@
-"""Exported ScanNet, and what our own generator writes.
+"""Exported ScanNet, and sequences with ground truth as we write them.
 
 ```
 depth/N.png              uint16, millimetres
@@ -6,7 +6,8 @@ color/N.{jpg,png}        may differ from depth in size; stretched onto it
 pose/N.txt               4x4, camera to world; invalid ones are -inf
 intrinsic/intrinsic_depth.txt    4x4 (intrinsic_color and the extrinsics are not used:
                                  poses are those of the depth camera)
-annotations.json         only our generator's: its world is z-up, its floor at z = 0
+annotations.json         only what we write (generated, or annotated by a user): then the world is
+                         z-up, its floor at z = 0
 ```
 """
 
@@ -39,15 +40,15 @@ def read_source(path: Path) -> Source:
         poses_file=POSES_FILE,
         depth_scale=1000.0,
         gravity=read_gravity(path),
-        levelled=has_poses and _is_generated(path / "annotations.json"),
+        levelled=has_poses and _is_levelled(path / "annotations.json"),
         warnings=warnings,
     )
 
 
-def _is_generated(annotations: Path) -> bool:
-    """Whether they are our generator's, and not somebody's labels of the same name."""
+def _is_levelled(annotations: Path) -> bool:
+    """Whether they are ours, and not somebody's labels of the same name."""
     try:
         data = json.loads(annotations.read_text())
     except (OSError, ValueError):
         return False
-    return isinstance(data, dict) and "generator_version" in data
+    return isinstance(data, dict) and ("generator_version" in data or data.get("levelled") is True)

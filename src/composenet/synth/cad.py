@@ -74,26 +74,36 @@ def load_shape(path: Path, class_name: str) -> Shape:
 
     Raises DataError where the file is no mesh, or is not in metres.
     """
+    style = f"cad:{path.parent.name}/{path.name}"
     mesh = _load_mesh(path)
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)[:, [2, 0, 1]]
+    mesh.vertices = np.asarray(mesh.vertices, dtype=np.float64)[:, [2, 0, 1]]
+    return shape_of_mesh(mesh, class_name, style, str(path), _material(path))[0]
+
+
+def shape_of_mesh(
+    mesh: trimesh.Trimesh, class_name: str, style: str, what: str, material: Material
+) -> tuple[Shape, NDArray[np.float64]]:
+    """The shape of a cleaned mesh in object axes, and where the middle of its box was, (3,). what:
+    it is, in messages. Raises DataError where it is not in metres or flat."""
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
     low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
     longest = float((high - low).max())
     if not 0.1 <= longest <= LONGEST_M:
-        raise DataError(f"{path}: {longest:.3g} m long; expected furniture in metres")
+        raise DataError(f"{what}: {longest:.3g} m long; expected furniture in metres")
     if (thinnest := float((high - low).min())) < THINNEST_M:
-        raise DataError(f"{path}: only {thinnest:.3g} m thick; expected a solid piece of furniture")
+        raise DataError(f"{what}: only {thinnest:.3g} m thick; expected a solid piece of furniture")
     shape = Shape(
         class_name=class_name,
-        style=f"cad:{path.parent.name}/{path.name}",
+        style=style,
         symmetry=Symmetry.NONE,
         vertices=(vertices - (low + high) / 2).astype(np.float32),
         faces=np.asarray(mesh.faces, dtype=np.int32),
         face_part=_parts(mesh),
         face_material=np.zeros(len(mesh.faces), dtype=np.int32),
-        materials=(_material(path),),
+        materials=(material,),
         watertight=bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0),
     )
-    return replace(shape, symmetry=symmetry_of(shape))
+    return replace(shape, symmetry=symmetry_of(shape)), (low + high) / 2
 
 
 def _load_mesh(path: Path) -> trimesh.Trimesh:
@@ -103,6 +113,12 @@ def _load_mesh(path: Path) -> trimesh.Trimesh:
         raise DataError(f"{path}: not a readable mesh ({error})") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"{path}: expected a triangle mesh, found no faces")
+    return cleaned(mesh)
+
+
+def cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh itself, without faces that lie on each other and with closed parts turned
+    outwards."""
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.unique_faces())  # a face and its back count for nothing
     if mesh.is_watertight:

@@ -14,8 +14,8 @@ from composenet.errors import DataError
 from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
 from composenet.sequences.options import SequenceOptions
-from composenet.synth.dataset import read_split, read_truth
 from composenet.synth.scene import SPLITS, RenderedFrame
+from composenet.synth.sequence_folder import read_split, read_truth
 
 
 class DiskScene:
