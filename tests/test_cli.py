@@ -479,6 +479,23 @@ def test_eval_gives_the_same_for_any_number_of_workers_and_goes_on(
     assert numbers(together)["offline"] != alone
 
 
+def test_eval_with_another_configuration(
+    run, capsys, tracked: Path, recordings: Path, tiny_weights: Path, tmp_path: Path
+) -> None:
+    """Which replaces the weights' own, is part of what is kept, and is none of `predictions`."""
+    silent = json.loads((tracked / "val_00000" / "config.json").read_text())
+    silent["tracking"] |= {"min_confidence": 1.0, "keep_confidence": 1.0}
+    path, out = tmp_path / "silent.json", tmp_path / "scores"
+    path.write_text(json.dumps(silent))
+    common = ["eval", "--data", recordings / "val_00000", "--out", out]
+    assert run(*common, "--weights", tiny_weights) == 0
+    assert numbers(out)["full"]["false_positives"] > 0
+    assert run(*common, "--weights", tiny_weights, "--config", path) == 0
+    assert numbers(out)["full"]["false_positives"] == 0
+    assert run(*common, "--predictions", tracked, "--config", path) == 2
+    assert "--config is for tracking, not for --predictions" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("way", "variant"), [("offline", "full"), ("offline-no-corr-no-compl", "no-corr-no-compl")]
 )

@@ -8,7 +8,9 @@ import manifold3d as m3
 import numpy as np
 import pytest
 import trimesh
+from rich.console import Console
 
+from composenet.commands.terminal import warn_of_cad
 from composenet.errors import DataError
 from composenet.geometry.transform import apply_T
 from composenet.records import (
@@ -427,3 +429,15 @@ def test_only_training_draws_further_styles() -> None:
     further = {f"{name} {style}" for name, known in FURTHER_STYLES.items() for style in known}
     assert drawn("train", 10) & further
     assert not (drawn("val", 5) | drawn("test", 5)) & further
+
+
+def test_folders_that_are_no_class_are_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_cad(tmp_path, "chair", trimesh.creation.box([0.5, 1.0, 0.5]))
+    warn_of_cad(Console(), tmp_path)
+    assert capsys.readouterr().out == ""
+    write_cad(tmp_path, "lamp", trimesh.creation.box([0.5, 1.0, 0.5]))
+    (tmp_path / "textures").mkdir()
+    warn_of_cad(Console(), tmp_path)
+    assert "lamp left out, which is none of the ten classes" in capsys.readouterr().out

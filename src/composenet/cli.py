@@ -180,6 +180,8 @@ class Eval:
     sequence of --data, or one result where there is one sequence"""
     weights: Path | None = None
     """weights to use instead of the shipped ones"""
+    config: Path | None = None
+    """configuration to use instead of the weights' own; the variants replace fields of it"""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N"""
     workers: Count = 1

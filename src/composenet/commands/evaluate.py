@@ -25,6 +25,7 @@ from composenet.commands.scoring import (
     true_cameras,
 )
 from composenet.commands.terminal import say
+from composenet.config import load as load_config
 from composenet.errors import DataError
 from composenet.files import write_atomic
 from composenet.geometry.transform import inverse_T
@@ -43,6 +44,7 @@ def run_eval(
     variants: Sequence[str],
     predictions: Path | None,
     weights: Path | None,
+    config: Path | None,
     device: str,
     workers: int,
     seed: int,
@@ -56,6 +58,9 @@ def run_eval(
     unknown = sorted(set(variants) - set(WAYS))
     if unknown:
         raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(WAYS)}")
+    if predictions is not None and config is not None:
+        raise DataError("--config is for tracking, not for --predictions; give it to `track`")
+    chosen = load_config(config) if config else None
     claim_scores(out, data)
     if predictions is not None:
         outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
@@ -68,9 +73,9 @@ def run_eval(
         from composenet.pipeline import load_tracker
 
         weights = weights or default_weights()
-        load_tracker(weights, device=device)  # what is wrong with them is said once
-        cache = variant_cache(out, weights, device)
-        work = partial(score_variants, weights=weights, device=device)
+        load_tracker(weights, device=device, config=chosen)  # what is wrong with it is said once
+        cache = variant_cache(out, weights, device, config=chosen)
+        work = partial(score_variants, weights=weights, device=device, config=chosen)
         names = list(dict.fromkeys(variants))
         outcomes = run_jobs(names, folders, work, cache, workers, console)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)

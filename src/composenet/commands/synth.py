@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.commands.terminal import say
+from composenet.commands.terminal import say, warn_of_cad
 
 
 def run_synth(
@@ -24,7 +24,6 @@ def run_synth(
 ) -> int:
     """The command."""
     from composenet.errors import DataError
-    from composenet.synth.cad import load_library
     from composenet.synth.dataset import measure_split, write_split
     from composenet.synth.scene import SceneOptions
     from composenet.synth.stats import as_table, class_counts, requirements
@@ -33,7 +32,7 @@ def run_synth(
     if out is None and not stats:
         raise DataError("nothing to do: give --out DIR to write sequences, or --stats")
     if cad is not None:
-        load_library(cad)  # what is wrong with it is said before anything is written
+        warn_of_cad(console, cad)  # before anything is written
     options = SceneOptions(frames=frames, image_size=image_size, cad_dir=cad, cad_share=cad_share)
     if out is not None:
         folders = write_split(split, count, out, start, options, workers)

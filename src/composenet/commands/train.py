@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from composenet.commands.terminal import say, warn
+from composenet.commands.terminal import say, warn, warn_of_cad
 from composenet.errors import DataError
 
 
@@ -40,6 +40,8 @@ def run_train(
             f"{data} holds sequences of {' and '.join(others)}: what was learned from them cannot "
             "be measured on them",
         )
+    if cad is not None and first_process:
+        warn_of_cad(Console(), cad)
     options = RunOptions(
         out=out,
         max_minutes=max_minutes,

@@ -10,24 +10,32 @@ import numpy as np
 
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import WAYS, ScoredSequence, score_tracks, truth_of
+from composenet.config import Config
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker, select_device
 from composenet.records import Frame, SequenceTruth
 from composenet.sequences import SequenceOptions, open_sequence
 
 
 def score_variants(
-    folder: Path, variants: Sequence[str], *, weights: Path, device: str, odometry: bool = False
+    folder: Path,
+    variants: Sequence[str],
+    *,
+    weights: Path,
+    device: str,
+    odometry: bool = False,
+    config: Config | None = None,
 ) -> dict[str, ScoredSequence]:
     """Track one sequence with several variants, which share what they see alike, and score each.
     Ground truth is read by the scorer only. odometry: without the recording's poses, as `track
     --odometry` does; only where that world lies is taken from the true pose, of its first frame.
+    config: instead of the weights' own; the variants replace fields of it.
 
     One compute thread: sums are then taken in the same order on every machine.
     """
     import torch
 
     torch.set_num_threads(1)
-    eyes = load_tracker(weights, device=device)
+    eyes = load_tracker(weights, device=device, config=config)
     trackers = {variant: eyes.restart(**WAYS[variant]) for variant in variants}
     results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
     sequence = open_sequence(folder, options=SequenceOptions(odometry=odometry))
@@ -80,7 +88,9 @@ def _score(
     )
 
 
-def variant_cache(out: Path, weights: Path, device: str, odometry: bool = False) -> ScoreCache:
+def variant_cache(
+    out: Path, weights: Path, device: str, odometry: bool = False, config: Config | None = None
+) -> ScoreCache:
     """Where the variants' scores are kept."""
-    options = (str(select_device(device)), odometry)
+    options = (str(select_device(device)), odometry, *([repr(config)] if config else []))
     return ScoreCache(out / "sequences", [__name__], weights, *options)

@@ -53,6 +53,12 @@ def load_library(folder: Path) -> dict[str, tuple[Path, ...]]:
     return library
 
 
+def left_out(folder: Path) -> list[str]:
+    """Folders of meshes beside those of the ten classes, which nothing is made of."""
+    others = [p for p in folder.iterdir() if p.is_dir() and p.name not in CLASS_NAMES]
+    return sorted(p.name for p in others if any(map(_is_mesh, p.iterdir())))
+
+
 def _is_mesh(path: Path) -> bool:
     """Hidden files (`._chair.obj`, which some file systems keep beside `chair.obj`) are none."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
