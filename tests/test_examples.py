@@ -7,17 +7,22 @@ import runpy
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import composenet
 from composenet.config import Config
 from composenet.output import OutputWriter
 from composenet.records import Frame
 from composenet.sequences import open_sequence
 
+LIVE = Path(__file__).parents[1] / "examples" / "live.py"
 PICTURES = Path(__file__).parents[1] / "examples" / "pictures.py"
 
 
@@ -95,3 +100,109 @@ def test_a_picture_of_no_known_kind_is_one_line(recordings: Path, tmp_path: Path
     result = written(recordings / "val_00000", tmp_path / "result", 0, 1)
     done = pictures(recordings / "val_00000", result, "--out", tmp_path / "picture")
     assert done.returncode == 1 and "extension" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_recording_is_tracked_as_a_live_camera(recordings: Path) -> None:
+    pytest.importorskip("small_gicp", reason="odometry is not installed")
+    command = [sys.executable, str(LIVE), str(recordings / "val_00000"), "--rate-hz", "3"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "frame 0, " in done.stdout and done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(["nowhere"], "nowhere: no such folder"), ([], "pyrealsense2")]
+)
+def test_without_a_camera_one_line_says_so(arguments: list[str], words: str) -> None:
+    command = [sys.executable, "-S", "-c", "import pyrealsense2"]
+    if not arguments and subprocess.run(command, capture_output=True).returncode == 0:
+        pytest.skip("there may be a camera")
+    done = subprocess.run(
+        [sys.executable, str(LIVE), *arguments], capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("live: ") and words in done.stderr
+
+
+def test_what_nobody_took_is_replaced_and_errors_arrive() -> None:
+    newest = runpy.run_path(str(LIVE))["Newest"]()
+    newest.put("old")
+    newest.put("new")
+    assert newest.take() == "new"
+    threading.Timer(0.1, newest.put, ["late"]).start()
+    assert newest.take() == "late"
+    newest.put("last")
+    newest.end(RuntimeError("unplugged"))
+    assert newest.take() == "last"
+    with pytest.raises(RuntimeError, match="unplugged"):
+        newest.take()
+
+
+def test_a_lost_camera_begins_a_new_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After three seconds; until then what it sees is left out."""
+    live = runpy.run_path(str(LIVE))
+    found: dict[float, bool] = {0: True, 1: True, 2: False, 3: False, 4: False, 5: False, 6: True}
+
+    class Odometry:
+        def __call__(self, depth_m: float, *_: object) -> np.ndarray | None:
+            return np.eye(4) if found[depth_m] else None
+
+    monkeypatch.setattr(composenet, "Odometry", Odometry, raising=False)
+    seen, stop = [], threading.Event()
+
+    class Box:
+        def put(self, item: object) -> None:
+            seen.append((item.image.time_s, item.world))  # type: ignore[attr-defined]
+
+        def end(self, error: Exception | None = None) -> None:
+            seen.append(("end", error))
+
+    images = [live["Image"](float(t), None, None, float(t)) for t in range(7)]
+    monkeypatch.setattr(live["time"], "monotonic", lambda: 0.0)
+    live["follow"](iter(images), Box(), stop)
+    assert seen == [(0.0, 0), (1.0, 0), (6.0, 1), ("end", None)]
+
+
+def test_images_of_a_realsense(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depth in metres, colour as it is, both halved with the lens; the camera is let go."""
+    depth = np.arange(480 * 640, dtype=np.uint16).reshape(480, 640)
+    color = np.arange(480 * 640 * 3, dtype=np.uint8).reshape(480, 640, 3)
+    camera = fake_realsense(depth, color)
+    monkeypatch.setitem(sys.modules, "pyrealsense2", camera)
+    images = runpy.run_path(str(LIVE))["realsense"]()
+    image = next(images)
+    np.testing.assert_allclose(image.depth_m, depth[::2, ::2] * np.float32(0.0001))
+    np.testing.assert_array_equal(image.color, color[::2, ::2])
+    assert (image.camera.width, image.camera.height) == (320, 240)
+    np.testing.assert_allclose(image.camera.K, [[300, 0, 160], [0, 305, 120], [0, 0, 1]])
+    images.close()
+    assert camera.stopped == [True]
+
+
+def fake_realsense(depth: np.ndarray, color: np.ndarray) -> Any:
+    """The part of the library's interface that the example uses."""
+    stopped: list[bool] = []
+    lens = SimpleNamespace(fx=600, fy=610, ppx=320, ppy=240, width=640, height=480)
+    video = SimpleNamespace(get_intrinsics=lambda: lens)
+    profile = SimpleNamespace(
+        get_device=lambda: SimpleNamespace(
+            first_depth_sensor=lambda: SimpleNamespace(get_depth_scale=lambda: 0.0001)
+        ),
+        get_stream=lambda _: SimpleNamespace(as_video_stream_profile=lambda: video),
+    )
+    frames = SimpleNamespace(
+        get_depth_frame=lambda: SimpleNamespace(get_data=lambda: depth),
+        get_color_frame=lambda: SimpleNamespace(get_data=lambda: color),
+    )
+    return SimpleNamespace(
+        stopped=stopped,
+        pipeline=lambda: SimpleNamespace(
+            start=lambda _: profile,
+            wait_for_frames=lambda: frames,
+            stop=lambda: stopped.append(True),
+        ),
+        config=lambda: SimpleNamespace(enable_stream=lambda *_: None),
+        stream=SimpleNamespace(depth=0, color=1),
+        format=SimpleNamespace(z16=0, rgb8=1),
+        align=lambda _: SimpleNamespace(process=lambda given: given),
+    )
