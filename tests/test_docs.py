@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
+import composenet
 from composenet.errors import SequenceError
 from composenet.geometry.transform import make_T
 from composenet.network.weights import default_weights, load_weights
+from composenet.synth.sequence_folder import read_truth
 from tracking_scenes import LOOK_ALONG_X
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,11 +46,11 @@ def test_readme(recording, tmp_path, monkeypatch):
 def test_live_camera():
     T_world_camera = make_T(LOOK_ALONG_X, [0, 0, 1.2])
     seen = {"driver": [(DEPTH_MM, T_world_camera)] * 2}
-    exec(code_of("docs/recordings.md")[1], seen)
+    exec(code_of("docs/recordings.md")[2], seen)
     assert seen["index"] == 1 and seen["result"].timings_ms["backbone"] > 0
     rgb = np.zeros((*seen["depth_m"].shape, 3), np.uint8)
     seen |= {"driver": [(seen["depth_m"], rgb)] * 3, "tracker": seen["tracker"].restart()}
-    exec(code_of("docs/recordings.md")[2], seen)
+    exec(code_of("docs/recordings.md")[3], seen)
     assert seen["index"] == 2 and seen["T_world_camera"] is not None
 
 
@@ -78,10 +81,34 @@ def test_results_written_read_and_taken_back(recording, tmp_path, monkeypatch):
 def test_a_tracker_of_ones_own_is_scored(recordings, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "val20").symlink_to(recordings)
-    (code,) = code_of("docs/data.md")
     seen = {}
-    exec(code, seen)
+    exec(code_of("docs/data.md")[0], seen)
     assert seen["scores"].objects is not None and len(seen["tracked"]) == 6
+
+
+def test_any_format_becomes_a_plain_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    K = np.array([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]])
+    T_world_camera, rgb = make_T(LOOK_ALONG_X, [1, 2, 1.2]), np.full((480, 640, 3), 90, np.uint8)
+    depth_m = np.full((480, 640), 2.5)
+    depth_m[0, :3] = np.nan, np.inf, 70.0
+    exec(code_of("docs/recordings.md")[1], {"K": K, "frames": [(rgb, depth_m, T_world_camera)] * 2})
+    frames = list(composenet.open_sequence("recording"))
+    assert len(frames) == 2 and np.isclose(frames[0].depth_m[5, 5], 2.5)
+    assert not frames[0].depth_m[0, 0] and frames[0].color is not None
+    assert abs(frames[0].T_world_camera[2, 1]) > 0.9
+
+
+def test_a_recording_of_ones_own_is_annotated(recordings, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "office").symlink_to(recordings / "val_00000")
+    (tmp_path / "own").mkdir()
+    for name in ("table", "chair"):
+        trimesh.creation.box([0.6, 0.5, 0.9]).export(f"{name}.ply")
+    poses = {1: make_T(np.eye(3), [1, 1, 0.45]), 2: make_T(np.eye(3), [2, 1, 0.45])}
+    exec(code_of("docs/data.md")[1], {"T_source_object": poses})
+    truth = read_truth(tmp_path / "own" / "office")
+    assert [item.gt_id for item in truth.objects] == [1, 2] and len(truth.frames) == 6
 
 
 def test_looking_twice(recording, tmp_path, monkeypatch):
@@ -90,7 +117,7 @@ def test_looking_twice(recording, tmp_path, monkeypatch):
     for i in range(2):
         np.savetxt(f"recording/pose/{i}.txt", make_T(LOOK_ALONG_X, [0, 0, 1.2]))
     seen = {}
-    exec(code_of("docs/recordings.md")[3], seen)
+    exec(code_of("docs/recordings.md")[4], seen)
     assert seen["frame"].index == 0  # the last one that it looked at
     with pytest.raises(SequenceError, match="twice"):
         seen["tracker"].turn_back()

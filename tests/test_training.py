@@ -345,6 +345,16 @@ def test_learning_from_what_is_measured_on_is_told_of(
     assert stop.value.code == 2 and "--cad is for generated scenes" in capsys.readouterr().err
 
 
+def test_a_share_of_the_scenes_is_from_disk(recordings: Path) -> None:
+    source = SceneSource(data_dir=recordings, data_share=0.3)
+    kinds = [type(source.scene(index)).__name__ for index in range(40)]
+    assert 5 <= kinds.count("DiskScene") <= 20
+    assert kinds == [type(source.scene(index)).__name__ for index in range(40)]
+    assert source.told == f"30% the sequences of {recordings.resolve()}, generated rooms"
+    every = SceneSource(data_dir=recordings)
+    assert {type(every.scene(index)).__name__ for index in range(10)} == {"DiskScene"}
+
+
 def test_an_empty_folder_of_data(tmp_path: Path) -> None:
     run = options(tmp_path / "out", validation_scenes=0)
     with pytest.raises(DataError, match="no sequences here"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,11 @@ from PIL import Image
 from rich.console import Console
 from scipy import ndimage
 
+import composenet
 from composenet.errors import DataError
+from composenet.geometry.transform import apply_T, make_T
 from composenet.predictions import FrameRecord, PredictedSequence
-from composenet.records import Track, TrackState
+from composenet.records import CLASS_NAMES, Track, TrackState
 from composenet.view import figures, meshes, plots, replay, report_svg
 from fake_tracks import CAMERA, LOOK_X, box_grid, centres, make_frame, make_object
 
@@ -33,6 +36,29 @@ def test_mesh_is_closed_metric_and_in_place() -> None:
     in_object = (mesh.vertices - entry.S_world_canonical.t) @ entry.S_world_canonical.R
     np.testing.assert_allclose(np.ptp(in_object, axis=0), entry.extents_m, atol=cell_m)
     np.testing.assert_allclose(mesh.bounds.mean(axis=0), entry.box.center, atol=cell_m / 2)
+
+
+def test_an_objects_mesh_is_that_of_the_world_in_its_own_axes() -> None:
+    """Also where it was in an earlier frame."""
+    entry = make_object()
+    track = Track(1, entry.class_id, (entry,), box_grid(entry.extents_m))
+    own, world = meshes.object_mesh(track), meshes.track_mesh(track)
+    assert own is not None and world is not None and own.is_watertight
+    last = meshes.last_observed(track.history)
+    np.testing.assert_allclose(
+        apply_T(last.T_world_object, np.asarray(own.vertices)), world.vertices, atol=1e-9
+    )
+    S = last.S_world_canonical
+    np.testing.assert_allclose(last.T_world_object, make_T(S.R, S.t))
+    assert last.class_name == track.class_name == CLASS_NAMES[track.class_id]
+    assert meshes.object_mesh(replace(track, history=())) is None
+
+
+def test_what_users_import_is_at_the_top() -> None:
+    assert sorted(composenet._MODULES) == composenet.__all__
+    assert all(getattr(composenet, name) is not None for name in composenet.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        composenet.nothing  # noqa: B018
 
 
 def test_sphere_volume_and_outward_normals() -> None:

@@ -98,7 +98,10 @@ class Train:
     threads: Count | None = None
     """compute threads; default: torch's own choice"""
     data: Path | None = None
-    """sequences on disk (from `composenet synth`) instead of streaming new ones"""
+    """sequences on disk (from `composenet synth`, or annotated ones of your own) instead of
+    streaming new ones"""
+    data_share: Share = 1.0
+    """share of the scenes taken from --data; the others are generated"""
     cad: Path | None = None
     """folder of CAD meshes to mix into the generated scenes"""
     cad_share: Share = 0.5

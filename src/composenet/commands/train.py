@@ -21,6 +21,7 @@ def run_train(
     workers: int,
     threads: int | None,
     data: Path | None,
+    data_share: float,
     cad: Path | None,
     cad_share: float,
     start_from: Path | None,
@@ -32,8 +33,11 @@ def run_train(
     from composenet.training.loop import RunOptions, train
 
     first_process = os.environ.get("RANK", "0") == "0"
-    if data is not None and cad is not None:
-        raise DataError("--cad is for generated scenes, not for those of --data; leave one out")
+    if data is not None and cad is not None and data_share == 1:
+        raise DataError(
+            "--cad is for generated scenes, not for those of --data; leave one out, or let "
+            "--data-share leave some to be generated"
+        )
     if data is not None and first_process and (others := other_splits(data)):
         warn(
             Console(),
@@ -51,7 +55,7 @@ def run_train(
         threads=threads,
         start_from=start_from,
     )
-    source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data)
+    source = SceneSource(cad_dir=cad, cad_share=cad_share, data_dir=data, data_share=data_share)
     weights = train(training_config(config) if config else None, options, source)
     if first_process:
         done = f"wrote {weights}; try it: composenet demo --weights {weights}"

@@ -47,19 +47,26 @@ POOL_FRAMES = 512
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Which scenes: a split of the generator, optionally with CAD."""
+    """Which scenes: a split of the generator, optionally with CAD, and sequences on disk."""
 
     split: str = "train"
     cad_dir: Path | None = None
     cad_share: float = 0.5
     data_dir: Path | None = None
-    """sequences on disk instead, all of them, over and over"""
+    """sequences on disk, all of them, over and over"""
+    data_share: float = 1.0
+    """of the scenes, that are from there"""
 
     @property
     def told(self) -> str:
         """In words."""
-        if self.data_dir is not None:
-            return f"the sequences of {self.data_dir.resolve()}"
+        if self.data_dir is None:
+            return self._generated
+        own = f"the sequences of {self.data_dir.resolve()}"
+        return f"{self.data_share:.0%} {own}, {self._generated}" if self.data_share < 1 else own
+
+    @property
+    def _generated(self) -> str:
         if self.cad_dir is None:
             return "generated rooms"
         folder = self.cad_dir.resolve()
@@ -67,7 +74,8 @@ class SceneSource:
 
     def scene(self, index: int) -> Scene | DiskScene:
         """Scene `index`."""
-        if self.data_dir is not None:
+        from_disk = np.random.default_rng((index, 2)).random() < self.data_share
+        if self.data_dir is not None and from_disk:
             return disk_scene(self.data_dir, index)
         options = SceneOptions(cad_dir=self.cad_dir, cad_share=self.cad_share)
         scene = generate_scene(self.split, index, options)
