@@ -10,10 +10,11 @@ put them in the place of `odometry(...)`, in a world whose z is up and whose flo
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -23,8 +24,7 @@ import tyro
 
 import composenet
 from composenet.geometry.camera import subsample_camera, subsampled
-from composenet.pipeline import FrameResult
-from composenet.records import FloatArray
+from composenet.records import FloatArray, TrackedObject
 
 LOST_S = 3.0
 """After so long without a pose the camera's way begins anew, in a world of its own."""
@@ -81,7 +81,7 @@ class Newest:
             return seen
 
 
-def realsense() -> Iterator[Image]:
+def realsense() -> Generator[Image]:
     """Depth aligned to colour, half of 640 x 480, from the first camera that is found."""
     import pyrealsense2 as rs
 
@@ -97,19 +97,22 @@ def realsense() -> Iterator[Image]:
     try:
         while True:
             frames = align.process(pipeline.wait_for_frames())
-            depth = np.asanyarray(frames.get_depth_frame().get_data())
-            color = np.asanyarray(frames.get_color_frame().get_data())
+            seen = frames.get_depth_frame(), frames.get_color_frame()
+            if not all(seen):  # the first ones may lack one of the two
+                continue
+            depth, color = (np.asanyarray(frame.get_data()) for frame in seen)
             depth_m = subsampled(depth, 2).astype(np.float32) * np.float32(unit_m)
             yield Image(depth_m, subsampled(color, 2).copy(), camera, time.monotonic())
     finally:
         pipeline.stop()
 
 
-def played(recording: Path, rate_hz: float) -> Iterator[Image]:
+def played(recording: Path, rate_hz: float) -> Generator[Image]:
     """A recording's images when they would come from a camera, which waits for nobody; its poses
     are not used."""
+    sequence = composenet.open_sequence(recording)
     start = time.monotonic()
-    for count, frame in enumerate(composenet.open_sequence(recording)):
+    for count, frame in enumerate(sequence):
         ahead_s = start + count / rate_hz - time.monotonic()
         if ahead_s < -1 / rate_hz:
             continue
@@ -117,31 +120,32 @@ def played(recording: Path, rate_hz: float) -> Iterator[Image]:
         yield Image(frame.depth_m, frame.color, frame.camera, time.monotonic())
 
 
-def follow(images: Iterator[Image], newest: Newest, stop: threading.Event) -> None:
+def follow(images: Generator[Image], newest: Newest, stop: threading.Event) -> None:
     """Find the camera in every image that there is time for, and leave the newest to the
     tracker."""
     odometry, world, found_s = composenet.Odometry(), 0, time.monotonic()
     try:
-        for image in images:
-            if stop.is_set():
-                break
-            T_world_camera = odometry(image.depth_m, image.camera, image.color)
-            if T_world_camera is not None:
-                newest.put(Seen(image, T_world_camera, world))
-                found_s = image.time_s
-            elif image.time_s - found_s > LOST_S:
-                odometry, world, found_s = composenet.Odometry(), world + 1, image.time_s
+        with contextlib.closing(images):  # lets go of the camera
+            for image in images:
+                if stop.is_set():
+                    break
+                T_world_camera = odometry(image.depth_m, image.camera, image.color)
+                if T_world_camera is not None:
+                    newest.put(Seen(image, T_world_camera, world))
+                    found_s = image.time_s
+                elif image.time_s - found_s > LOST_S:
+                    odometry, world, found_s = composenet.Odometry(), world + 1, image.time_s
     except Exception as error:  # a camera's library raises what it likes
         newest.end(error)
     else:
         newest.end()
 
 
-def publish(count: int, result: FrameResult, delay_s: float) -> None:
-    """What a robot would be told: replace it by yours. An object that is not among these any more
-    is to be deleted where it is shown."""
-    print(f"frame {count}, {delay_s * 1e3:.0f} ms after its image:")
-    for thing in result.objects:
+def publish(things: Sequence[TrackedObject], world: int, count: int, delay_s: float) -> None:
+    """What a robot would be told: replace it by yours. What is not among these any more is to be
+    deleted where it is shown; in another world ids and places begin anew."""
+    print(f"world {world}, frame {count}, {delay_s * 1e3:.0f} ms after its image:")
+    for thing in things:
         x, y, z = thing.T_world_object[:3, 3]
         print(
             f"  {thing.track_id:3d} {thing.class_name:10s} {thing.state.value:9s}"
@@ -169,13 +173,18 @@ def main(
             frame = composenet.Frame(
                 count, image.depth_m, image.camera, seen.T_world_camera, image.color
             )
-            publish(count, tracker(frame), time.monotonic() - image.time_s)
+            try:
+                things = tracker(frame).objects
+            except composenet.SequenceError as error:  # the tracker is as it was
+                print(f"left out: {error}")
+                continue
+            publish(things, seen.world, count, time.monotonic() - image.time_s)
             count += 1
     except KeyboardInterrupt:
         print("stopped")
     finally:
         stop.set()
-        thread.join(5.0)
+        thread.join(6.0)  # a camera that gives no image keeps its library waiting for five
 
 
 if __name__ == "__main__":

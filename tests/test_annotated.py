@@ -9,13 +9,17 @@ import pytest
 import trimesh
 
 from composenet import open_sequence
+from composenet.commands.variants import score_variants
 from composenet.errors import DataError
 from composenet.geometry.transform import make_T, rotation_z
 from composenet.synth.annotated import AnnotatedObject, AnnotatedWriter
 from composenet.synth.dataset import write_sequence
 from composenet.synth.scene import Scene, SceneOptions, generate_scene
-from composenet.synth.sequence_folder import read_truth
+from composenet.synth.sequence_folder import UNTOLD, read_truth
+from composenet.training.config import TrainingConfig
+from composenet.training.data import samples_of_scene
 from composenet.training.disk import DiskScene
+from composenet.training.targets import UNKNOWN, collate_samples
 
 OPTIONS = SceneOptions(frames=3, image_size=(160, 120))
 
@@ -99,15 +103,84 @@ def one_box(**changes: object) -> dict[int, AnnotatedObject]:
     return {7: replace(item, **changes)}  # type: ignore[arg-type]
 
 
+TILTED_SHEET = trimesh.Trimesh(
+    [[0.0, 0, 0], [1, 0, 0.5], [1, 1, 0.5], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
+)
 UPRIGHT = make_T(rotation_z(0.4), np.array([1.0, 2.0, 0.35]))
 
 
-def test_symmetry_is_measured_where_it_is_not_told(scene: Scene, tmp_path: Path) -> None:
-    with AnnotatedWriter(tmp_path / "own", one_box()) as writer:
-        writer.add(scene.render(0).frame, {7: UPRIGHT})
-        writer.finish()
+def in_view(scene: Scene, i: int = 0) -> np.ndarray:
+    """(4, 4) of a one metre box around what the middle of an image shows, on the floor."""
+    depth_m = scene.render(i, noise=False).frame.depth_m[60, 80]
+    at = scene.T_world_camera[i] @ np.array([0.0, 0.0, depth_m, 1.0])
+    return make_T(np.eye(3), np.array([at[0], at[1], max(at[2], 0.35)]))
+
+
+@pytest.mark.parametrize(("told", "kept"), [(None, "two"), ("four", "four")])
+def test_symmetry_is_measured_where_it_is_not_told(
+    scene: Scene, tmp_path: Path, told: str | None, kept: str
+) -> None:
+    ids = np.zeros((120, 160), np.int64)
+    ids[60, 80] = 7
+    with AnnotatedWriter(tmp_path / "own", one_box(symmetry=told)) as writer:
+        writer.add(scene.render(0, noise=False).frame, {7: in_view(scene)}, ids)
+        assert writer.finish() == {7: 1}
     (item,) = read_truth(tmp_path / "own").objects
-    assert (item.gt_id, item.symmetry.value) == (7, "two")
+    assert (item.gt_id, item.symmetry.value) == (7, kept)
+
+
+def test_poses_that_the_images_deny_are_refused(scene: Scene, tmp_path: Path) -> None:
+    frame, ids = scene.render(0).frame, np.full((120, 160), 7)
+    away = make_T(np.eye(3), np.array([50.0, 0.0, 0.35]))
+    for given, message in ((None, "no object seen"), (ids, "object 7 is not where its pixels are")):
+        with (
+            pytest.raises(DataError, match=f"own: {message}; are poses in the frames' world"),
+            AnnotatedWriter(tmp_path / "own", one_box()) as writer,
+        ):
+            writer.add(frame, {7: away}, given)
+            writer.finish()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_nobody_can_tell_is_not_learned_from(scene: Scene, tmp_path: Path) -> None:
+    rendered = scene.render(0)
+    ids = rendered.ids.astype(np.int64)
+    ids[:, :80] = UNTOLD
+    with AnnotatedWriter(tmp_path / "own", objects_of(scene, np.zeros(3))) as writer:
+        writer.add(rendered.frame, poses_of(scene, 0, np.zeros(3)), ids)
+        writer.finish()
+    disk = DiskScene(tmp_path / "own")
+    assert (disk.render(0).ids[:, :80] == UNKNOWN).all()
+    config = TrainingConfig(frames_per_scene=1)
+    samples = list(samples_of_scene(disk, config, np.random.default_rng(0), augment=False))
+    assert len(samples) == 1
+    known = collate_samples(samples).voxel_object > -2
+    assert 0 < known.float().mean() < 1
+
+
+def test_it_is_learned_from_and_scored(scene: Scene, tmp_path: Path, tiny_weights: Path) -> None:
+    """As what the generator writes is."""
+    folder = written(scene, tmp_path / "own", with_ids=True)
+    samples = list(samples_of_scene(DiskScene(folder), TrainingConfig(), np.random.default_rng(0)))
+    assert sum(len(sample.gt_id) for sample in samples) > 0
+    write_sequence(scene, tmp_path / "generated")
+    ours, theirs = (
+        score_variants(path, ["full"], weights=tiny_weights, device="cpu")["full"].scores.clear
+        for path in (folder, tmp_path / "generated")
+    )
+    assert ours == theirs
+
+
+def test_errors_of_the_users_own_are_left_alone(scene: Scene, tmp_path: Path) -> None:
+    with (
+        pytest.raises(FileNotFoundError, match=r"poses/7\.npy"),
+        AnnotatedWriter(tmp_path / "own", one_box()) as writer,
+    ):
+        writer.add(scene.render(0).frame, {7: UPRIGHT})
+        np.load("poses/7.npy")
+    with pytest.raises(DataError, match="`with` statement"):
+        AnnotatedWriter(tmp_path / "own", one_box()).add(scene.render(0).frame, {7: UPRIGHT})
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -116,7 +189,10 @@ def test_symmetry_is_measured_where_it_is_not_told(scene: Scene, tmp_path: Path)
         ({"class_name": "lamp"}, "class 'lamp'; expected bathtub, bed"),
         ({"mesh": trimesh.creation.box([1000.0, 800.0, 700.0])}, "1e.03 m long; .* metres"),
         ({"mesh": trimesh.creation.box([1.0, 0.8, 0.001])}, "0.001 m thick"),
-        ({"mesh": trimesh.Trimesh()}, "no faces"),
+        ({"mesh": trimesh.Trimesh()}, "no mesh with faces"),
+        ({"mesh": trimesh.Scene()}, "no mesh with faces"),
+        ({"mesh": TILTED_SHEET}, "its mesh is flat"),
+        ({"symmetry": "three"}, "symmetry 'three'; expected none, two, four, inf"),
     ],
 )
 def test_what_cannot_be_learned_is_refused(
@@ -133,6 +209,8 @@ def bad_calls(scene: Scene) -> Iterator[tuple[str, dict[str, object]]]:
     frame = scene.render(0).frame
     yield "no rigid motion .* scale belongs into its mesh", {"T_world_objects": {7: scaled}}
     yield "tilted by 90 degrees", {"T_world_objects": {7: tilted}}
+    sunk = make_T(np.eye(3), np.array([1.0, 2.0, -3.0]))
+    yield r"reaches 3\.[34] m below the floor", {"T_world_objects": {7: sunk}}
     yield "no pose of object 7", {"T_world_objects": {}}
     yield "no camera pose", {"frame": replace(frame, pose_known=False)}
     yield "ids hold 3, which is no object", {"ids": np.full((120, 160), 3)}
@@ -173,13 +251,13 @@ def test_another_camera_is_refused(scene: Scene, tmp_path: Path) -> None:
         writer.add(replace(frame, camera=camera), {7: UPRIGHT})
 
 
-def test_a_folder_that_is_there_is_not_touched(scene: Scene, tmp_path: Path) -> None:
+def test_a_folder_that_is_there_is_not_touched(tmp_path: Path) -> None:
+    """And it is said before hours of work."""
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "mine.txt").write_text("x")
     with (
-        pytest.raises(DataError, match="own: cannot be written"),
-        AnnotatedWriter(tmp_path / "own", one_box()) as writer,
+        pytest.raises(DataError, match="own: is there already"),
+        AnnotatedWriter(tmp_path / "own", one_box()),
     ):
-        writer.add(scene.render(0).frame, {7: UPRIGHT})
-        writer.finish()
+        pytest.fail("it was entered")
     assert [p.name for p in tmp_path.iterdir()] == ["own"]

@@ -161,6 +161,8 @@ BAD_ARGUMENTS = [
     (["synth"], "--out"),
     (["synth", "--stats", "--count", "-1"], "--count"),
     (["synth", "--out", "{tmp}/s", "--cad", "{tmp}/none"], "none"),
+    (["train", "--out", "{tmp}/t", "--data-share", "0.5"], "--data-share is of the sequences"),
+    (["train", "--out", "{tmp}/t", "--data", "{tmp}", "--data-share", "0.1"], "no sequences here"),
     (["train", "--out", "{tmp}/bad/out"], "Not a directory"),
     (["train", "--out", "{tmp}/t", "--max-minutes", "0"], "--max-minutes"),
     (["train", "--out", "{tmp}/t", "--config", "{tmp}/bad"], "bad"),
@@ -491,6 +493,10 @@ def test_eval_with_another_configuration(
     assert run(*common, "--weights", tiny_weights) == 0
     assert numbers(out)["full"]["false_positives"] > 0
     assert run(*common, "--weights", tiny_weights, "--config", path) == 0
+    assert numbers(out)["full"]["false_positives"] == 0
+    back = tmp_path / "back.json"  # looking back is the variant's to say
+    back.write_text(json.dumps(silent | {"tracking": silent["tracking"] | {"offline": True}}))
+    assert run(*common, "--weights", tiny_weights, "--config", back) == 0
     assert numbers(out)["full"]["false_positives"] == 0
     assert run(*common, "--predictions", tracked, "--config", path) == 2
     assert "--config is for tracking, not for --predictions" in capsys.readouterr().err

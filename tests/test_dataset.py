@@ -160,7 +160,7 @@ def test_a_full_disk_names_the_sequence(tmp_path: Path, monkeypatch: pytest.Monk
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(dataset, "canonical_mesh", full)
+    monkeypatch.setattr(sequence_folder, "_write_matrix", full)
     with pytest.raises(DataError, match=r"val_00005: cannot be written \(No space left"):
         dataset.write_split("val", 1, tmp_path, 5, OPTIONS)
     assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -99,16 +100,36 @@ def test_any_format_becomes_a_plain_folder(tmp_path, monkeypatch):
     assert abs(frames[0].T_world_camera[2, 1]) > 0.9
 
 
-def test_a_recording_of_ones_own_is_annotated(recordings, tmp_path, monkeypatch):
+def test_a_recording_of_ones_own_is_annotated(recordings, tmp_path, monkeypatch, capsys):
+    """Of a world that lies on its side, without one of its frames."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "office").symlink_to(recordings / "val_00000")
-    (tmp_path / "own").mkdir()
-    for name in ("table", "chair"):
-        trimesh.creation.box([0.6, 0.5, 0.9]).export(f"{name}.ply")
-    poses = {1: make_T(np.eye(3), [1, 1, 0.45]), 2: make_T(np.eye(3), [2, 1, 0.45])}
+    shutil.copytree(recordings / "val_00000", "office")
+    truth = read_truth(tmp_path / "office")
+    Path("office/annotations.json").unlink()
+    T_source_level = make_T([[0, 0, 1], [1, 0, 0], [0, 1, 0]], [3.0, 2.0, 1.0])
+    for path in Path("office/pose").iterdir():
+        np.savetxt(path, T_source_level @ np.loadtxt(path))
+    Path("office/depth/2.png").write_bytes(b"")
+    np.savetxt("office/gravity-direction.txt", T_source_level[:3, :3] @ [0, 0, -1])
+    best = sorted(truth.frames[0], key=lambda entry: entry.visible_pixels)[-2:]
+    for name, entry in zip(("table", "chair"), best, strict=True):
+        item = next(item for item in truth.objects if item.gt_id == entry.gt_id)
+        trimesh.creation.box(item.extents_m).export(f"{name}.ply")
+    poses = [
+        {
+            k: T_source_level @ next(e for e in frame if e.gt_id == entry.gt_id).T_world_object
+            for k, entry in enumerate(best, 1)
+        }
+        for frame in truth.frames
+    ]
     exec(code_of("docs/data.md")[1], {"T_source_object": poses})
-    truth = read_truth(tmp_path / "own" / "office")
-    assert [item.gt_id for item in truth.objects] == [1, 2] and len(truth.frames) == 6
+    own = read_truth(tmp_path / "own" / "office")
+    assert [item.gt_id for item in own.objects] == [1, 2] and len(own.frames) == 5
+    assert own.frames[0][1].visible_pixels > 0.2 * best[1].visible_pixels
+    for frame, before in zip(own.frames, truth.frames[:2] + truth.frames[3:], strict=True):
+        z = next(e for e in before if e.gt_id == best[1].gt_id).T_world_object[2, 3]
+        assert abs(frame[1].T_world_object[2, 3] - z) < 0.05
+    assert capsys.readouterr().out.startswith("{1: ")
 
 
 def test_looking_twice(recording, tmp_path, monkeypatch):

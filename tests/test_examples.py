@@ -107,7 +107,7 @@ def test_a_recording_is_tracked_as_a_live_camera(recordings: Path) -> None:
     command = [sys.executable, str(LIVE), str(recordings / "val_00000"), "--rate-hz", "3"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "frame 0, " in done.stdout and done.stderr == ""
+    assert "world 0, frame 0, " in done.stdout and done.stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_lost_camera_begins_a_new_world(monkeypatch: pytest.MonkeyPatch) -> No
 
     images = [live["Image"](float(t), None, None, float(t)) for t in range(7)]
     monkeypatch.setattr(live["time"], "monotonic", lambda: 0.0)
-    live["follow"](iter(images), Box(), stop)
+    live["follow"]((image for image in images), Box(), stop)
     assert seen == [(0.0, 0), (1.0, 0), (6.0, 1), ("end", None)]
 
 

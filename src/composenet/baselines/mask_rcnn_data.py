@@ -41,7 +41,7 @@ class MaskSample:
 def make_sample(
     color: NDArray[np.uint8],
     depth_m: NDArray[np.float32],
-    ids: NDArray[np.uint16],
+    ids: NDArray[np.integer],
     class_ids: dict[int, int],
 ) -> MaskSample:
     """Of an image (H, W, 3) with depth and ids (H, W). class_ids: by gt_id."""

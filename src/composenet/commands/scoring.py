@@ -39,7 +39,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 """The paper's table 1."""
 
-WAYS: dict[str, dict[str, Any]] = VARIANTS | {
+WAYS: dict[str, dict[str, Any]] = {
+    name: {**options, "offline": False} for name, options in VARIANTS.items()
+} | {
     "offline" if name == "full" else f"offline-{name}": {**options, "offline": True}
     for name, options in VARIANTS.items()
 }

@@ -29,7 +29,7 @@ def run_train(
     """The command."""
     from composenet.training.config import training_config
     from composenet.training.data import SceneSource
-    from composenet.training.disk import other_splits
+    from composenet.training.disk import disk_scene, other_splits
     from composenet.training.loop import RunOptions, train
 
     first_process = os.environ.get("RANK", "0") == "0"
@@ -38,6 +38,10 @@ def run_train(
             "--cad is for generated scenes, not for those of --data; leave one out, or let "
             "--data-share leave some to be generated"
         )
+    if data is None and data_share < 1:
+        raise DataError("--data-share is of the sequences of --data; give their folder")
+    if data is not None:
+        disk_scene(data, 0)  # what is wrong with the folder is said before anything is learned
     if data is not None and first_process and (others := other_splits(data)):
         warn(
             Console(),

@@ -64,11 +64,11 @@ DEFAULT_OPTIONS = SceneOptions()
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """frame: with the sensor's depth. ids: (H, W) uint16, gt_id or 0. clean_depth_m: (H, W)
-    float32, without noise."""
+    """frame: with the sensor's depth. ids: (H, W), gt_id or 0. clean_depth_m: (H, W) float32,
+    without noise."""
 
     frame: Frame
-    ids: NDArray[np.uint16]
+    ids: NDArray[np.integer]
     clean_depth_m: NDArray[np.float32]
 
 
@@ -128,7 +128,7 @@ class Scene:
         return RenderedFrame(frame, ids, buffers.depth_m)
 
     def frame_truth(
-        self, i: int, ids: NDArray[np.uint16], fractions: bool = True
+        self, i: int, ids: NDArray[np.integer], fractions: bool = True
     ) -> tuple[ObjectFrameTruth, ...]:
         """Every object in frame i, given that frame's id image. Without fractions, for which every
         object is drawn alone, visible_fraction is NaN."""

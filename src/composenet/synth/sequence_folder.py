@@ -1,7 +1,8 @@
 """One sequence with ground truth on disk: the exported-ScanNet layout with annotations beside it.
 
 DIR/color/N.jpg, depth/N.png (uint16, mm), pose/N.txt (camera to world), intrinsic/*.txt,
-instance/N.png (uint16, gt_id), annotations.json, shapes/ID.npz (occupancy, hull) and
+instance/N.png (uint16: gt_id, 0 for what is no furniture, 65535 for what nobody can tell),
+annotations.json, shapes/ID.npz (occupancy, hull) and
 shapes/ID.ply (watertight, canonical: centred, box diagonal 1). The world is levelled.
 """
 
@@ -13,7 +14,8 @@ import shutil
 import socket
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -37,6 +39,8 @@ from composenet.records import (
 )
 
 ANNOTATION_VERSION = 1
+UNTOLD = 2**16 - 1
+"""In an image of ids: nothing is learned from such a pixel."""
 _PARTIAL = ".partial-"
 _HERE = socket.gethostname()
 _DAMAGED = (KeyError, TypeError, ValueError, OSError, EOFError, zlib.error, zipfile.BadZipFile)
@@ -45,8 +49,8 @@ _FOLDERS = ("color", "depth", "pose", "intrinsic", "instance", "shapes")
 
 class SequenceFolder:
     """Writes a sequence frame by frame, to a folder that must not exist and appears only when
-    `finish` has been called; left before that, nothing stays. Raises DataError where it cannot be
-    written."""
+    `finish` has been called; left before that, nothing stays. Raises DataError where it is there,
+    or cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -56,12 +60,12 @@ class SequenceFolder:
         self._frames: list[tuple[ObjectFrameTruth, ...]] = []
 
     def __enter__(self) -> SequenceFolder:
+        if self.folder.exists():
+            raise DataError(f"{self.folder}: is there already; remove it or choose another name")
         self._remove()
-        try:
+        with self._told():
             for name in _FOLDERS:
                 (self._partial / name).mkdir(parents=True)
-        except OSError as error:
-            raise self._failed(error) from None
         return self
 
     def __exit__(
@@ -71,15 +75,13 @@ class SequenceFolder:
         trace: TracebackType | None,
     ) -> None:
         self._remove()
-        if isinstance(error, OSError):
-            raise self._failed(error) from None
 
     def __len__(self) -> int:
         """Frames so far."""
         return len(self._frames)
 
     def add(
-        self, frame: Frame, ids: NDArray[np.uint16], truth: tuple[ObjectFrameTruth, ...]
+        self, frame: Frame, ids: NDArray[np.integer], truth: tuple[ObjectFrameTruth, ...]
     ) -> None:
         """Write the next frame. ids: (H, W), gt_id or 0. truth: of every object. Raises DataError
         where its camera is another than the first frame's."""
@@ -87,12 +89,15 @@ class SequenceFolder:
         self._camera = self._camera or frame.camera
         if not _same_camera(self._camera, frame.camera):
             raise DataError(f"{self.folder}: frame {i} is of another camera; one a sequence")
-        if frame.color is not None:
-            Image.fromarray(np.asarray(frame.color)).save(here / f"color/{i}.jpg", quality=92)
         depth_mm = np.rint(frame.depth_m * 1000).astype(np.uint16)
-        Image.fromarray(depth_mm).save(here / f"depth/{i}.png", compress_level=3)
-        Image.fromarray(ids).save(here / f"instance/{i}.png", compress_level=3)
-        _write_matrix(here / f"pose/{i}.txt", frame.T_world_camera)
+        with self._told():
+            if frame.color is not None:
+                Image.fromarray(np.asarray(frame.color)).save(here / f"color/{i}.jpg", quality=92)
+            Image.fromarray(depth_mm).save(here / f"depth/{i}.png", compress_level=3)
+            Image.fromarray(ids.astype(np.uint16)).save(
+                here / f"instance/{i}.png", compress_level=3
+            )
+            _write_matrix(here / f"pose/{i}.txt", frame.T_world_camera)
         self._frames.append(truth)
 
     def finish(
@@ -102,20 +107,8 @@ class SequenceFolder:
     ) -> None:
         """Write what is constant, and let the folder appear. objects: each with its canonical
         mesh. about: what else annotations.json is to tell."""
-        here, camera = self._partial, self._camera
+        camera = self._camera
         assert camera is not None
-        intrinsic = np.eye(4)
-        intrinsic[:3, :3] = camera.K
-        for kind in ("color", "depth"):
-            _write_matrix(here / f"intrinsic/intrinsic_{kind}.txt", intrinsic)
-            _write_matrix(here / f"intrinsic/extrinsic_{kind}.txt", np.eye(4))
-        for truth, mesh in objects:
-            np.savez_compressed(
-                here / f"shapes/{truth.gt_id}.npz",
-                occupancy=np.packbits(truth.occupancy),
-                hull=truth.hull,
-            )
-            mesh.export(here / f"shapes/{truth.gt_id}.ply")
         extents = {truth.gt_id: truth.extents_m for truth, _ in objects}
         annotations = {
             "version": ANNOTATION_VERSION,
@@ -128,14 +121,38 @@ class SequenceFolder:
                 for frame in self._frames
             ],
         }
-        (here / "annotations.json").write_text(json.dumps(annotations) + "\n")
-        here.rename(self.folder)
+        with self._told():
+            self._write_camera(camera)
+            for truth, mesh in objects:
+                self._write_shape(truth, mesh)
+            (self._partial / "annotations.json").write_text(json.dumps(annotations) + "\n")
+            self._partial.rename(self.folder)
+
+    def _write_camera(self, camera: Camera) -> None:
+        intrinsic = np.eye(4)
+        intrinsic[:3, :3] = camera.K
+        for kind in ("color", "depth"):
+            _write_matrix(self._partial / f"intrinsic/intrinsic_{kind}.txt", intrinsic)
+            _write_matrix(self._partial / f"intrinsic/extrinsic_{kind}.txt", np.eye(4))
+
+    def _write_shape(self, truth: ObjectTruth, mesh: trimesh.Trimesh) -> None:
+        path = self._partial / f"shapes/{truth.gt_id}"
+        bits = np.packbits(truth.occupancy)
+        np.savez_compressed(path.with_suffix(".npz"), occupancy=bits, hull=truth.hull)
+        mesh.export(path.with_suffix(".ply"))
 
     def _remove(self) -> None:
         shutil.rmtree(self._partial, ignore_errors=True)
 
-    def _failed(self, error: OSError) -> DataError:
-        return DataError(f"{self.folder}: cannot be written ({error.strerror or error})")
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """What the disk refuses, as DataError."""
+        try:
+            yield
+        except OSError as error:
+            raise DataError(
+                f"{self.folder}: cannot be written ({error.strerror or error})"
+            ) from None
 
 
 def remove_leftovers(out: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
 from composenet.sequences.options import SequenceOptions
 from composenet.synth.scene import SPLITS, RenderedFrame
-from composenet.synth.sequence_folder import read_split, read_truth
+from composenet.synth.sequence_folder import UNTOLD, read_split, read_truth
+from composenet.training.targets import UNKNOWN
 
 
 class DiskScene:
@@ -36,14 +37,15 @@ class DiskScene:
 
     def render(self, i: int, *, color: bool = False) -> RenderedFrame:
         """Frame i as tracking sees it: subsampled where it is wide (colour is not read: the network
-        does not use it)."""
+        does not use it). Its ids are UNKNOWN where nobody can tell."""
         try:
             depth_m = np.asarray(Image.open(self.folder / "depth" / f"{i}.png")) / np.float32(1000)
-            ids = np.asarray(Image.open(self.folder / "instance" / f"{i}.png")).astype(np.uint16)
+            ids = np.asarray(Image.open(self.folder / "instance" / f"{i}.png")).astype(np.int32)
             T_world_camera = np.loadtxt(self.folder / "pose" / f"{i}.txt")
             K = np.loadtxt(self.folder / "intrinsic" / "intrinsic_depth.txt")[:3, :3]
         except (OSError, ValueError) as error:
             raise DataError(f"{self.folder}, frame {i}: cannot be read ({error})") from None
+        ids = np.where(ids == UNTOLD, UNKNOWN, ids)
         camera = Camera(K, depth_m.shape[1], depth_m.shape[0])
         factor = math.ceil(camera.width / SequenceOptions.max_width)
         depth_m, ids = subsampled(depth_m, factor), subsampled(ids, factor)
@@ -52,7 +54,7 @@ class DiskScene:
         return RenderedFrame(frame, ids, frame.depth_m)
 
     def frame_truth(
-        self, i: int, ids: NDArray[np.uint16], fractions: bool = True
+        self, i: int, ids: NDArray[np.integer], fractions: bool = True
     ) -> tuple[ObjectFrameTruth, ...]:
         """Ground truth of frame i, as it was written."""
         return self.truth.frames[i]
@@ -74,8 +76,12 @@ def other_splits(data_dir: Path) -> list[str]:
 
 
 def disk_scene(data_dir: Path, index: int) -> DiskScene:
-    """Sequence `index` of a folder, endlessly repeated. Raises DataError for an empty folder."""
+    """Sequence `index` of a folder, endlessly repeated; what was read of the last few is kept.
+    Raises DataError for an empty folder."""
     folders = sorted(path.parent for path in data_dir.glob("*/annotations.json"))
     if not folders:
         raise DataError(f"{data_dir}: no sequences here; write some with `composenet synth`")
-    return DiskScene(folders[index % len(folders)])
+    return _kept(folders[index % len(folders)])
+
+
+_kept = lru_cache(maxsize=16)(DiskScene)
