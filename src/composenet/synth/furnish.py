@@ -28,7 +28,7 @@ ROOM_KINDS = {  # share, shortest and longest side in metres
     "office": (0.12, (3.4, 7.0)),
     "mixed": (0.19, (4.0, 8.0)),
 }
-TRAINING_KINDS = {**ROOM_KINDS, "workplace": (0.3, (3.4, 7.5)), "crowded": (0.1, (3.4, 7.0))}
+TRAINING_KINDS = {**ROOM_KINDS, "workplace": (0.16, (3.4, 7.5)), "crowded": (0.12, (3.4, 7.0))}
 """Training has rooms that are fuller of things too; their shares come on top."""
 _THINGS, _FULLER = 5, {"crowded": 14}
 """Fewer small things than that lie on a piece of furniture."""
