@@ -206,19 +206,15 @@ class AnnotatedWriter:
     def _object_frame(
         self, frame: Frame, gt_id: int, T_world_object: FloatArray, visible: int
     ) -> ObjectFrameTruth:
-        shape, fraction = self._shapes[gt_id], 0.0
-        if visible:
-            T_camera_object = inverse_T(frame.T_world_camera) @ T_world_object
-            points = apply_T(T_camera_object, shape.vertices.astype(np.float64))
-            whole = render.silhouette_pixels(points, shape.faces, frame.camera)
-            fraction = min(1.0, visible / max(whole, visible))
+        T_camera_object = inverse_T(frame.T_world_camera) @ T_world_object
+        shape = self._shapes[gt_id]
         before = self._before.get(gt_id, T_world_object)
         return ObjectFrameTruth(
             gt_id=gt_id,
             T_world_object=T_world_object,
             box=aabb_of_points(apply_T(T_world_object, self._hulls[gt_id])),
             visible_pixels=visible,
-            visible_fraction=fraction,
+            visible_fraction=render.share_seen(shape, T_camera_object, visible, frame.camera),
             moving=bool(np.abs(before - T_world_object).max() > MOVES_M),
         )
 

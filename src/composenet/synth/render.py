@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from composenet.geometry.transform import apply_T
 from composenet.records import Camera, FloatArray
 from composenet.synth.shape import Material, Shape
 
@@ -109,6 +110,14 @@ def silhouette_pixels(
     face = np.full((height, width), -1, dtype=np.int32)
     _fill(np.float32(points_camera), faces, fx, fy, cx - low[0], cy - low[1], depth, face)
     return int(np.count_nonzero(face >= 0))
+
+
+def share_seen(shape: Shape, T_camera_shape: FloatArray, visible: int, camera: Camera) -> float:
+    """How many of the pixels that a shape would have alone and whole are visible, 0..1."""
+    if not visible:
+        return 0.0
+    points = apply_T(T_camera_shape, shape.vertices.astype(np.float64))
+    return min(1.0, visible / max(silhouette_pixels(points, shape.faces, camera), visible))
 
 
 def surface(mesh: Mesh, buffers: Buffers, camera: Camera) -> NDArray[np.float32]:

@@ -179,13 +179,10 @@ class Scene:
     def _object_frame(self, i: int, gt_id: int, visible: int, fractions: bool) -> ObjectFrameTruth:
         slot = self._slot(gt_id)
         T_world_object = self.T_world_shape[i, slot]
-        fraction = 0.0 if fractions else np.nan
-        if visible and fractions:
+        fraction = np.nan
+        if fractions:
             T_camera_object = inverse_T(self.T_world_camera[i]) @ T_world_object
-            shape = self.shapes[slot]
-            points = apply_T(T_camera_object, shape.vertices.astype(np.float64))
-            whole = render.silhouette_pixels(points, shape.faces, self.camera)
-            fraction = min(1.0, visible / max(whole, visible))
+            fraction = render.share_seen(self.shapes[slot], T_camera_object, visible, self.camera)
         before = self.T_world_shape[max(i - 1, 0), slot]
         return ObjectFrameTruth(
             gt_id=gt_id,
