@@ -89,12 +89,12 @@ def realsense() -> Generator[Image]:
     config.enable_stream(rs.stream.depth, 640, 480, rs.format.z16, 30)
     config.enable_stream(rs.stream.color, 640, 480, rs.format.rgb8, 30)
     profile = pipeline.start(config)
-    unit_m = profile.get_device().first_depth_sensor().get_depth_scale()
-    lens = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
-    K = np.array([[lens.fx, 0, lens.ppx], [0, lens.fy, lens.ppy], [0, 0, 1]])
-    camera = subsample_camera(composenet.Camera(K, lens.width, lens.height), 2)
-    align = rs.align(rs.stream.color)
     try:
+        unit_m = profile.get_device().first_depth_sensor().get_depth_scale()
+        lens = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+        K = np.array([[lens.fx, 0, lens.ppx], [0, lens.fy, lens.ppy], [0, 0, 1]])
+        camera = subsample_camera(composenet.Camera(K, lens.width, lens.height), 2)
+        align = rs.align(rs.stream.color)
         while True:
             frames = align.process(pipeline.wait_for_frames())
             seen = frames.get_depth_frame(), frames.get_color_frame()
@@ -123,8 +123,8 @@ def played(recording: Path, rate_hz: float) -> Generator[Image]:
 def follow(images: Generator[Image], newest: Newest, stop: threading.Event) -> None:
     """Find the camera in every image that there is time for, and leave the newest to the
     tracker."""
-    odometry, world, found_s = composenet.Odometry(), 0, time.monotonic()
     try:
+        odometry, world, found_s = composenet.Odometry(), 0, time.monotonic()
         with contextlib.closing(images):  # lets go of the camera
             for image in images:
                 if stop.is_set():
@@ -170,10 +170,10 @@ def main(
             if seen.world != world:  # places of another world mean nothing here
                 tracker, world, count = eyes.restart(), seen.world, 0
             image = seen.image
-            frame = composenet.Frame(
-                count, image.depth_m, image.camera, seen.T_world_camera, image.color
-            )
             try:
+                frame = composenet.Frame(
+                    count, image.depth_m, image.camera, seen.T_world_camera, image.color
+                )
                 things = tracker(frame).objects
             except composenet.SequenceError as error:  # the tracker is as it was
                 print(f"left out: {error}")

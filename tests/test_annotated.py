@@ -240,6 +240,21 @@ def test_bad_frames_are_named_and_nothing_stays(scene: Scene, tmp_path: Path) ->
         AnnotatedWriter(tmp_path / "own", {0: one_box()[7]})
 
 
+def test_a_writer_that_failed_begins_anew(scene: Scene, tmp_path: Path) -> None:
+    writer, ids = AnnotatedWriter(tmp_path / "own", one_box()), np.zeros((120, 160), np.int64)
+    ids[60, 80] = 7
+    frame = scene.render(0, noise=False).frame
+    with pytest.raises(ZeroDivisionError), writer:
+        writer.add(frame, {7: in_view(scene)}, ids)
+        raise ZeroDivisionError
+    with pytest.raises(DataError, match="no frame was added"):
+        writer.finish()
+    with writer:
+        writer.add(frame, {7: in_view(scene)}, ids)
+        assert writer.finish() == {7: 1}
+    assert len(read_truth(tmp_path / "own").frames) == 1
+
+
 def test_another_camera_is_refused(scene: Scene, tmp_path: Path) -> None:
     frame = scene.render(0).frame
     camera = replace(frame.camera, K=frame.camera.K * [[1.1], [1.0], [1.0]])

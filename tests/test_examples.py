@@ -163,6 +163,18 @@ def test_a_lost_camera_begins_a_new_world(monkeypatch: pytest.MonkeyPatch) -> No
     assert seen == [(0.0, 0), (1.0, 0), (6.0, 1), ("end", None)]
 
 
+def test_without_odometry_the_tracking_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> None:
+        raise composenet.ComposenetError("install it")
+
+    monkeypatch.setattr(composenet, "Odometry", missing, raising=False)
+    live = runpy.run_path(str(LIVE))
+    newest = live["Newest"]()
+    live["follow"]((image for image in ()), newest, threading.Event())
+    with pytest.raises(composenet.ComposenetError, match="install it"):
+        newest.take()
+
+
 def test_images_of_a_realsense(monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth in metres, colour as it is, both halved with the lens; the camera is let go."""
     depth = np.arange(480 * 640, dtype=np.uint16).reshape(480, 640)

@@ -41,7 +41,7 @@ def run_train(
     if data is None and data_share < 1:
         raise DataError("--data-share is of the sequences of --data; give their folder")
     if data is not None:
-        disk_scene(data, 0)  # what is wrong with the folder is said before anything is learned
+        disk_scene(data, 0)  # that nothing is there is said before anything is learned
     if data is not None and first_process and (others := other_splits(data)):
         warn(
             Console(),

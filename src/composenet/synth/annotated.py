@@ -80,14 +80,14 @@ class AnnotatedWriter:
             self._shapes[gt_id], self._middles[gt_id] = _shape(gt_id, item)
         self._mesh = render.assemble(list(self._shapes.values()))
         self._hulls = {k: _hull(shape) for k, shape in self._shapes.items()}
-        self._before: dict[int, NDArray[np.float64]] = {}
-        self._pixels = dict.fromkeys(self._shapes, 0)
-        self._inside = dict.fromkeys(self._shapes, 0)
         self._entered = False
 
     def __enter__(self) -> AnnotatedWriter:
         remove_leftovers(self._folder.folder.parent)
         self._folder.__enter__()
+        self._before: dict[int, NDArray[np.float64]] = {}
+        self._pixels = dict.fromkeys(self._shapes, 0)
+        self._inside = dict.fromkeys(self._shapes, 0)
         self._entered = True
         return self
 
@@ -97,6 +97,7 @@ class AnnotatedWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._entered = False
         self._folder.__exit__(kind, error, trace)
 
     def add(
@@ -129,7 +130,7 @@ class AnnotatedWriter:
     def finish(self) -> dict[int, int]:
         """Let the folder appear. Returns in how many pixels of all frames each object was seen.
         Raises DataError where no frame was added, or poses and images do not belong together."""
-        if len(self._folder) == 0:
+        if not self._entered or len(self._folder) == 0:
             raise DataError(f"{self._folder.folder}: no frame was added")
         astray = [k for k, n in self._pixels.items() if self._inside[k] < LEAST_INSIDE * n]
         if astray or not any(self._pixels.values()):

@@ -60,12 +60,15 @@ class SequenceFolder:
         self._frames: list[tuple[ObjectFrameTruth, ...]] = []
 
     def __enter__(self) -> SequenceFolder:
-        if self.folder.exists():
-            raise DataError(f"{self.folder}: is there already; remove it or choose another name")
         self._remove()
         with self._told():
+            if self.folder.exists():
+                raise DataError(
+                    f"{self.folder}: is there already; remove it or choose another name"
+                )
             for name in _FOLDERS:
                 (self._partial / name).mkdir(parents=True)
+        self._camera, self._frames = None, []
         return self
 
     def __exit__(
@@ -150,6 +153,7 @@ class SequenceFolder:
         try:
             yield
         except OSError as error:
+            self._remove()
             raise DataError(
                 f"{self.folder}: cannot be written ({error.strerror or error})"
             ) from None
