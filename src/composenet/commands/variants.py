@@ -92,5 +92,5 @@ def variant_cache(
     out: Path, weights: Path, device: str, odometry: bool = False, config: Config | None = None
 ) -> ScoreCache:
     """Where the variants' scores are kept."""
-    options = (str(select_device(device)), odometry, *([repr(config)] if config else []))
+    options = (str(select_device(device)), odometry, config)
     return ScoreCache(out / "sequences", [__name__], weights, *options)

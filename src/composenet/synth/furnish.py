@@ -206,7 +206,7 @@ def _workplace(layout: Layout, make: MakeShape) -> None:
 
 
 def _crowded(layout: Layout, make: MakeShape) -> None:
-    """Sitting groups, most of them beside a sofa, and small tables."""
+    """Sitting groups and more tables, most of them in a room with a sofa."""
     if layout.rng.random() < 0.7:
         _sofa_group(layout, make)
     for _ in range(int(layout.rng.integers(1, 3))):
