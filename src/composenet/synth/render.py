@@ -53,9 +53,9 @@ class Buffers:
 
 
 def assemble(shapes: Sequence[Shape]) -> Mesh:
-    """All shapes as one mesh; instance i is shapes[i]."""
+    """All that images show of the shapes as one mesh; instance i is shapes[i]."""
     vertex_counts = [len(shape.vertices) for shape in shapes]
-    face_counts = [len(shape.faces) for shape in shapes]
+    face_counts = [np.count_nonzero(shape.drawn) for shape in shapes]
     first_vertex = np.cumsum([0, *vertex_counts])
     first_material = np.cumsum([0, *(len(shape.materials) for shape in shapes)])
     instances = np.arange(len(shapes), dtype=np.int32)
@@ -64,11 +64,11 @@ def assemble(shapes: Sequence[Shape]) -> Mesh:
         vertices=np.concatenate([s.vertices for s in shapes]).astype(np.float32),
         vertex_instance=np.repeat(instances, vertex_counts),
         faces=np.concatenate(
-            [s.faces + k for s, k in zip(shapes, first_vertex, strict=False)]
+            [s.faces[s.drawn] + k for s, k in zip(shapes, first_vertex, strict=False)]
         ).astype(np.int32),
         face_instance=np.repeat(instances, face_counts),
         face_material=np.concatenate(
-            [s.face_material + k for s, k in zip(shapes, first_material, strict=False)]
+            [s.face_material[s.drawn] + k for s, k in zip(shapes, first_material, strict=False)]
         ).astype(np.int32),
         color=np.array([m.color for m in materials], dtype=np.float32),
         pattern=np.array([PATTERNS.index(m.pattern) for m in materials], dtype=np.int32),
@@ -117,7 +117,9 @@ def share_seen(shape: Shape, T_camera_shape: FloatArray, visible: int, camera: C
     if not visible:
         return 0.0
     points = apply_T(T_camera_shape, shape.vertices.astype(np.float64))
-    return min(1.0, visible / max(silhouette_pixels(points, shape.faces, camera), visible))
+    return min(
+        1.0, visible / max(silhouette_pixels(points, shape.faces[shape.drawn], camera), visible)
+    )
 
 
 def surface(mesh: Mesh, buffers: Buffers, camera: Camera) -> NDArray[np.float32]:

@@ -17,12 +17,15 @@ from composenet.records import Symmetry
 class Material:
     """color: base RGB in 0..1. pattern: plain | wood | fabric | checker | stripes, drawn in
     object coordinates with a period of pattern_m metres. shininess: 0 matt .. 1 mirror-like
-    (shiny and dark surfaces return less depth)."""
+    (shiny and dark surfaces return less depth); above that, up to 1.7, hardly any. glass: a pane.
+    clear: images show what is behind it."""
 
     color: tuple[float, float, float]
     pattern: str = "plain"
     pattern_m: float = 0.1
     shininess: float = 0.1
+    glass: bool = False
+    clear: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,11 @@ class Shape:
         """(3,) full extents along the object axes, metres."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return (high - low).astype(np.float64)
+
+    @cached_property
+    def drawn(self) -> NDArray[np.bool_]:
+        """(F,) the faces that images show."""
+        return ~np.array([material.clear for material in self.materials])[self.face_material]
 
 
 class ShapeBuilder:

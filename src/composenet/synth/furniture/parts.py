@@ -7,6 +7,7 @@ manifold; manifolds combine with `+`, `-` and `^` and move with `.translate` and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from typing import TypeAlias
 
@@ -301,9 +302,9 @@ def stone(rng: Rng) -> Material:
 
 
 def glass(rng: Rng) -> Material:
-    """Tinted glass; opaque, because depth sensors that see it at all see its surface."""
+    """Tinted glass whose surface is seen (`unseen.as_cameras_fail` makes it clear)."""
     color = np.array([0.55, 0.68, 0.68]) * rng.uniform(0.4, 1.2)
-    return _material(color, "plain", 0.1, rng.uniform(0.8, 0.95))
+    return replace(_material(color, "plain", 0.1, rng.uniform(0.8, 0.95)), glass=True)
 
 
 def carcass(rng: Rng) -> Material:
