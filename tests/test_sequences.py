@@ -1,4 +1,4 @@
-"""Readers: six formats, what each bad input says, and that no corruption crashes them."""
+"""Readers of folders and `.sens` files, what each bad input says, and that no corruption crashes them."""
 
 import json
 import shutil

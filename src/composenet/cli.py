@@ -122,7 +122,7 @@ class TrackCommand:
 
     recording: Recording
     """RGB-D recording: a folder (plain color/depth/pose, exported ScanNet, TUM, 7-Scenes, 3DMatch,
-    Open3D) or a ScanNet .sens file"""
+    Open3D), a ScanNet .sens file, or of ROS and RealSense a .bag, .mcap or .db3"""
     out: Path
     """folder for the result"""
     weights: Path | None = None

@@ -19,7 +19,7 @@ from composenet.errors import DataError, DeviceError
 from composenet.files import held
 from composenet.predictions import PredictedSequence
 from composenet.result_folder import claim
-from composenet.sequences import RecordedSequence, SequenceOptions, open_sequence, sens
+from composenet.sequences import RecordedSequence, SequenceOptions, formats, open_sequence
 
 if TYPE_CHECKING:
     from composenet.pipeline import FrameResult, ObjectTracker
@@ -139,7 +139,7 @@ def run_track(
 ) -> int:
     """The command. Returns the exit code. variant: fields of config.tracking to replace."""
     console = Console()
-    if recording.is_dir() or sens.matches(recording):  # else what is wrong with it comes first
+    if recording.is_dir() or formats.is_known(recording):  # else what is wrong with it comes first
         if out.exists() and out.samefile(recording):
             raise DataError(f"{out}: this is the recording itself; give another --out folder")
         claim(out)

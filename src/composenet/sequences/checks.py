@@ -49,8 +49,8 @@ def check_camera(source: Source, K: FloatArray | None, width: int, height: int) 
     """The camera of the depth images. Raises SequenceError when K is missing or impossible."""
     if K is None:
         raise SequenceError(
-            f"{source.path}: no intrinsics; give --intrinsics fx,fy,cx,cy (pixels of the "
-            f"{width}x{height} depth images) or write {source.intrinsics_file}"
+            f"{source.path}: no intrinsics ({source.intrinsics_file} expected); --intrinsics "
+            f"fx,fy,cx,cy gives them, in pixels of the {width}x{height} depth images"
         )
     try:
         return Camera(K, width, height)

@@ -6,7 +6,7 @@ import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,17 @@ _DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
 Packing = Literal["file", "rgb", "uint16", "zlib uint16"]
 
 
+class ImageWithin(Protocol):
+    """An image that is no file of its own."""
+
+    @property
+    def known_size(self) -> tuple[int, int] | None:
+        """(width, height), None where only the image says it."""
+
+    def open(self) -> Image.Image:
+        """The image. Raises what decoders raise, and SequenceError."""
+
+
 @dataclass(frozen=True)
 class PackedImage:
     """An image within a larger file. packing: the bytes of an image file, or pixels row by row.
@@ -31,6 +42,11 @@ class PackedImage:
     length: int
     packing: Packing
     size: tuple[int, int]
+
+    @property
+    def known_size(self) -> tuple[int, int] | None:
+        """(width, height), None of an image file."""
+        return None if self.packing == "file" else self.size
 
     def open(self) -> Image.Image:
         """The image. Raises what decoders raise, and SequenceError where it claims to be huge."""
@@ -49,13 +65,14 @@ class PackedImage:
         return Image.fromarray(np.frombuffer(data, "<u2").reshape(height, width))
 
 
-ImageSource = Path | PackedImage
+ImageSource = Path | ImageWithin
 
 
 def image_size(source: ImageSource) -> tuple[int, int]:
     """(width, height) from the header alone. Raises SequenceError."""
-    if isinstance(source, PackedImage) and source.packing != "file":
-        return _possible(source.size)
+    known = None if isinstance(source, Path) else source.known_size
+    if known is not None:
+        return _possible(known)
     with _opened(source) as image:
         return image.size
 
@@ -87,7 +104,7 @@ def read_color(source: ImageSource, width: int, height: int) -> NDArray[np.uint8
 
 def _opened(source: ImageSource) -> Image.Image:
     try:
-        image = source.open() if isinstance(source, PackedImage) else Image.open(source)
+        image = Image.open(source) if isinstance(source, Path) else source.open()
     except SequenceError:
         raise
     except FileNotFoundError:

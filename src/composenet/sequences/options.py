@@ -43,5 +43,8 @@ class SequenceOptions:
     odometry: bool = False
     """camera poses from the images themselves, not from the recording (needs
     composenet[odometry])"""
+    depth_topic: str | None = None
+    """of a ROS recording: the depth images to use; default: those that lie on the colour images,
+    else rectified ones"""
     max_width: Annotated[Count, Field(ge=16)] = 480
     """wider depth images are subsampled by the smallest whole factor that fits"""

@@ -322,6 +322,6 @@ def open_sequence(
     path = Path(path)
     if stride < 1 or (max_frames is not None and max_frames < 1):
         raise SequenceError(f"stride {stride} and max-frames {max_frames} must be 1 or more")
-    return RecordedSequence(
-        read_source(path), options or SequenceOptions(), stride, max_frames, watch
-    )
+    options = options or SequenceOptions()
+    source = read_source(path, options.depth_topic)
+    return RecordedSequence(source, options, stride, max_frames, watch)
