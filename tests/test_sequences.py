@@ -1,4 +1,4 @@
-"""Readers of folders and `.sens` files, what each bad input says, and that no corruption crashes them."""
+"""Readers of folders and `.sens` files: what each bad input says; no corruption crashes them."""
 
 import json
 import shutil
