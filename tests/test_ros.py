@@ -19,7 +19,7 @@ from composenet.geometry.transform import inverse_T, make_T
 from composenet.records import Camera, Frame
 from composenet.sequences import SequenceOptions, open_sequence
 from composenet.sequences.images import read_color, read_depth
-from composenet.sequences.registered import RegisteredColor
+from composenet.sequences.registration import ColorCamera, RegisteredColor
 from composenet.sequences.ros_bag import Bag
 from composenet.sequences.ros_transforms import Transforms
 from ros_recordings import KINDS, Recording, packed_depth, png
@@ -192,7 +192,7 @@ def test_depth_that_cannot_be_unpacked_is_told_of(tmp_path: Path) -> None:
         topic = f"{DEPTH}/compressedDepth"
         bag.packed(topic, 1.0 + i, "optical", bytes(40), "16UC1; compressedDepth rvl")
     bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
-    with pytest.raises(SequenceError, match="none of its frames"):
+    with pytest.raises(SequenceError, match=r"none of its frames.*compressed by RVL"):
         open_sequence(bag.write(tmp_path))
 
 
@@ -267,6 +267,9 @@ def test_what_is_the_world(root: str, moving: bool, posed: bool, tmp_path: Path)
         for w in (sequence.warnings)
     )
     assert told == (root == "base_link")
+    assert any(
+        "'room', in which transforms place the camera, is taken" in w for w in (sequence.warnings)
+    ) == (root == "room" and posed)
     if not posed:
         assert any("--odometry finds them" in w for w in sequence.warnings)
 
@@ -320,13 +323,11 @@ def test_colour_of_another_camera_is_brought_onto_the_depth(tmp_path: Path) -> N
             right = int(np.rint(u + K[0, 0] * 0.06 / z))
             assert frame.color is not None
             assert frame.color[v, u].tolist() == color(i)[v, right].tolist()
-        assert frame.color[5, -1].tolist() == [0, 0, 0]  # not measured
+        right = int(np.rint(WIDTH - 1 + K[0, 0] * 0.06 / frame.depth_m[5, -2]))
+        assert right >= WIDTH and frame.color[5, -1].tolist() == [0, 0, 0]  # beyond the image
     bag.messages = [m for m in bag.messages if m[0] != "/tf_static"]
-    alone = open_sequence(bag.write(tmp_path, "alone"))
-    assert any(
-        w.startswith("colour of /camera/color/image_raw is left out") for w in (alone.warnings)
-    )
-    assert all(frame.color is None for frame in alone)
+    frames = frames_of(bag.write(tmp_path, "alone"))
+    assert all(np.array_equal(frame.color, color(i)) for i, frame in enumerate(frames))
 
 
 class Held:
@@ -348,15 +349,17 @@ def test_registration_is_projection_pixel_by_pixel() -> None:
     K_color = np.array([[30.0, 0, 18], [0, 33, 16], [0, 0, 1]])
     T = make_T(Rotation.from_euler("xyz", [3, -9, 12], degrees=True).as_matrix(), [0.3, -0.1, 0.2])
     units_m = 2.5e-4
-    out = RegisteredColor(Held(raw), Held(rgb), K, K_color, T, units_m)
+    out = RegisteredColor(Held(raw), Held(rgb), K, ColorCamera(K_color, T), units_m)
     got = read_color(out, *out.known_size)
     assert got.shape == (HEIGHT, WIDTH, 3)
     for v in range(HEIGHT):
         for u in range(WIDTH):
             expected = np.zeros(3)
             z = raw[v, u] * units_m
+            if z == 0:
+                continue  # as far as what is near
             point = T[:3, :3] @ (z * (np.linalg.inv(K) @ [u, v, 1])) + T[:3, 3]
-            if z > 0 and point[2] > 0:
+            if point[2] > 0:
                 a, b = np.rint((K_color @ point / point[2])[:2]).astype(int)
                 if 0 <= a < 40 and 0 <= b < 30:
                     expected = rgb[b, a]
@@ -392,7 +395,7 @@ def test_without_camera_info_intrinsics_are_asked_for(tmp_path: Path) -> None:
     bag = Recording("mcap")
     bag.image(DEPTH, 1.0, "optical", depth_mm(0), "16UC1")
     path = bag.write(tmp_path)
-    with pytest.raises(SequenceError, match=f"camera_info topic beside {DEPTH}.*--intrinsics"):
+    with pytest.raises(SequenceError, match=f"beside {DEPTH}.*--intrinsics"):
         open_sequence(path)
     assert len(frames_of(path, intrinsics=(20, 20, 11.5, 8.5))) == 1
 
@@ -493,6 +496,13 @@ def test_ways_multiply_and_turn_back() -> None:
     ab, ba = tree.T_between("base", "c", 1.0), tree.T_between("c", "base", 1.0)
     assert np.allclose(ab, np.linalg.inv(A @ B) @ C) and np.allclose(ab @ ba, np.eye(4))
     assert tree.T_between("base", "elsewhere", 1.0) is None
+    assert not tree.moves("base")
+    tree = Transforms(
+        [
+            told(1.0, "map", "odom", A, True),
+            *(told(t, "odom", "base", random_T(rng)) for t in (1, 2)),
+        ]
+    )
     assert tree.moves("base") and not tree.moves("odom")
 
 
@@ -511,8 +521,8 @@ def test_between_two_times_a_frame_turns_and_moves_evenly(share: float, seed: in
 
 
 def test_transforms_hold_for_a_moment_only() -> None:
-    T = np.eye(4)
-    tree = Transforms([told(t, "map", "c", T) for t in (1.0, 1.5, 3.0)])
+    rng = np.random.default_rng(5)
+    tree = Transforms([told(t, "map", "c", random_T(rng)) for t in (1.0, 1.5, 3.0)])
     known = [tree.T_root_frame("c", t) is not None for t in (0.9, 0.96, 1.2, 1.5, 2.0, 3.04, 3.1)]
     assert known == [False, True, True, True, False, True, False]
 
@@ -556,22 +566,27 @@ def test_a_broken_image_within_does_not_end_the_rest(tmp_path: Path) -> None:
     assert {reason for _, reason in sequence.skipped} == {"depth image is truncated or corrupt"}
 
 
+def jpeg(pixels: np.ndarray) -> bytes:
+    image = BytesIO()
+    Image.fromarray(pixels).save(image, "JPEG")
+    return image.getvalue()
+
+
 def test_depth_is_no_colour(tmp_path: Path) -> None:
     bag = Recording("mcap")
     bag.image("/d", 1.0, "f", depth_mm(0), "16UC1")
-    image = BytesIO()
-    Image.fromarray(color(0)).save(image, "JPEG")
-    bag.packed("/c", 1.0, "f", image.getvalue(), "jpeg")
+    bag.packed("/c", 1.0, "f", jpeg(color(0)), "jpeg")
     bag.image("/infra", 1.0, "f", color(0)[..., 0], "mono8")
     bag.packed("/infra/compressed", 1.0, "f", png(color(0)[..., 0]), "mono8; png compressed")
     from composenet.sequences import ros, ros_bag
 
+    bag.packed("/jpeg", 1.0, "f", jpeg(color(0)[..., 0]), "jpeg")
     opened = Bag(bag.write(tmp_path))
     assert ros._image_topics(opened, ros_bag.is_depth) == ["/d"]
     assert ros._image_topics(opened, ros_bag.is_color) == ["/c"]
     assert read_depth(ros_bag.BagImage(opened, "/d", int(1e9), 0, (WIDTH, HEIGHT))).any()
     with pytest.raises(SequenceError, match="image is missing"):
-        ros_bag.BagImage(opened, "/d", int(1e9), 1, (WIDTH, HEIGHT)).message()
+        ros_bag.BagImage(opened, "/d", int(1e9), 1, (WIDTH, HEIGHT)).open()
 
 
 def test_the_command_tracks_a_recording(tmp_path: Path, tiny_weights: Path) -> None:
@@ -591,3 +606,163 @@ def test_the_command_tracks_a_recording(tmp_path: Path, tiny_weights: Path) -> N
         reading=SequenceOptions(),
     )
     assert code == 0 and (out / "tracks.json").is_file() and (out / "report.html").is_file()
+
+
+# --- what real robots send ------------------------------------------------------------------
+
+TOPICS = [  # depth to take, others with 16 bits, the colour to take, others with colour
+    ("/depth/image_raw", ["/ir/image_raw"], "/rgb/image_raw", []),
+    ("/depth_to_rgb/image_raw", ["/depth/image_raw", "/ir/image_raw"], "/rgb/image_raw", []),
+    ("/camera/depth/image_raw", ["/camera/ir/image_raw"], "/camera/color/image_raw", []),
+    ("/kinect2/sd/image_depth_rect", ["/kinect2/sd/image_ir_rect"], "/kinect2/hd/image_color", []),
+    (
+        "/zed/zed_node/depth/depth_registered",
+        ["/zed/zed_node/confidence/confidence_map"],
+        "/zed/zed_node/left/image_rect_color",
+        ["/zed/zed_node/left_raw/image_raw_color"],
+    ),
+    ("/oak/stereo/image_raw", [], "/oak/rgb/image_raw", []),
+    ("/robot1/camera/depth/image_raw", [], "/robot1/camera/image_raw", ["/a/image_raw"]),
+    (
+        "/camera/aligned_depth_to_color/image_raw",
+        ["/camera/depth/image_rect_raw", "/camera/infra1/image_rect_raw"],
+        "/camera/color/image_raw",
+        [],
+    ),
+]
+
+
+@pytest.mark.parametrize(("depth", "others", "colour", "more"), TOPICS)
+def test_the_topics_of_common_cameras(
+    depth: str, others: list[str], colour: str, more: list[str], tmp_path: Path
+) -> None:
+    from composenet.sequences import ros
+
+    bag = Recording("mcap")
+    for topic in (depth, *others):
+        bag.image(topic, 1.0, "d", depth_mm(0), "16UC1")
+    for topic in (colour, *more):
+        bag.image(topic, 1.0, "c", color(0), "rgb8")
+    opened, warnings = Bag(bag.write(tmp_path)), list[str]()
+    assert ros._depth_topic(opened, None, warnings) == depth
+    assert ros._color_topic(opened, depth) == colour
+    assert any("are taken for depth" in w for w in warnings) == ("depth" not in depth)
+
+
+def test_infrared_alone_is_no_depth_unless_it_is_asked_for(tmp_path: Path) -> None:
+    bag = Recording("mcap")
+    bag.image("/ir/image_raw", 1.0, "ir", depth_mm(0), "mono16")
+    bag.info("/ir/camera_info", "ir", K, (WIDTH, HEIGHT))
+    path = bag.write(tmp_path)
+    with pytest.raises(SequenceError, match=r"no topic with depth.*/ir/image_raw.*--depth-topic"):
+        open_sequence(path)
+    assert len(frames_of(path, depth_topic="/ir/image_raw")) == 1
+
+
+def test_intrinsics_are_those_of_the_camera_itself(tmp_path: Path) -> None:
+    other = np.array([[30.0, 0, 11.5], [0, 30.0, 8.5], [0, 0, 1]])
+    for infos, expected in (
+        ([("/camera/color/camera_info", "color", other)], None),
+        ([("/robot2/camera/depth/camera_info", "color", other)], None),
+        ([("/elsewhere/camera_info", "optical", K)], K),
+        ([("/camera/color/camera_info", "color", other), ("/x/camera_info", "optical", K)], K),
+    ):
+        bag = Recording("mcap")
+        bag.image(DEPTH, 1.0, "optical", depth_mm(0), "16UC1")
+        for topic, frame, matrix in infos:
+            bag.info(topic, frame, matrix, (WIDTH, HEIGHT))
+        bag.info("/camera/depth/half/camera_info", "optical", other, (WIDTH // 2, HEIGHT // 2))
+        from composenet.sequences import ros
+
+        found = ros._intrinsics(
+            Bag(bag.write(tmp_path, f"{len(list(tmp_path.iterdir()))}")), DEPTH, []
+        )
+        assert (found is None) == (expected is None)
+        assert expected is None or np.array_equal(found, expected)
+
+
+def test_robots_keep_their_transforms(tmp_path: Path) -> None:
+    bag = Recording("mcap")
+    add_depth(bag, "/robot1/depth/image_raw")
+    for i in range(COUNT):
+        bag.transform(time_s(i), "odom", "optical", pose(i), "/robot1/tf")
+        bag.transform(time_s(i), "odom", "optical", pose(-20 - 3 * i), "/robot2/tf")
+    sequence = open_sequence(bag.write(tmp_path))
+    xs = [frame.T_world_camera[0, 3] for frame in sequence]
+    assert np.allclose(np.diff(xs), 0.1, atol=1e-6)
+
+
+def test_what_changes_counts_before_what_holds_always() -> None:
+    rng = np.random.default_rng(3)
+    A, B, S = (random_T(rng) for _ in range(3))
+    moving = [told(1.0, "map", "c", A), told(1.5, "map", "c", B)]
+    for both in ([*moving, told(2.0, "map", "c", S, True)], [told(0, "x", "c", S, True), *moving]):
+        tree = Transforms(both)
+        assert np.allclose(tree.T_root_frame("c", 1.5), B) and tree.root("c") == "map"
+
+
+def test_cameras_on_one_rig_need_no_way_to_the_world() -> None:
+    rng = np.random.default_rng(4)
+    A, B = random_T(rng), random_T(rng)
+    tree = Transforms(
+        [
+            told(5.0, "map", "rig", random_T(rng)),
+            told(0.0, "rig", "a", A, True),
+            told(0.0, "rig", "b", B, True),
+        ]
+    )
+    assert tree.T_root_frame("a", 0.0) is None
+    assert np.allclose(tree.T_between("a", "b", 0.0), np.linalg.inv(A) @ B)
+    assert np.allclose(tree.T_between("a", "rig", 0.0), np.linalg.inv(A))
+
+
+def test_what_stays_the_same_holds_between_and_does_not_move() -> None:
+    T = make_T(np.eye(3), [1.0, 2, 3])
+    tree = Transforms([told(t, "trunk", "c", T) for t in (1.0, 5.0)])
+    assert np.allclose(tree.T_root_frame("c", 3.0), T)
+    assert not tree.moves("c") and not tree.is_world("c")
+
+
+@pytest.mark.parametrize("topic", [DEPTH, f"{DEPTH}/compressed", f"{DEPTH}/compressedDepth"])
+@pytest.mark.parametrize("format", ["png", "16UC1; png compressed", ""])
+def test_compressed_depth_is_known_by_its_bytes(topic: str, format: str, tmp_path: Path) -> None:
+    bag = Recording("mcap")
+    bag.packed(topic, 1.0, "optical", png(depth_mm(0)), format)
+    bag.packed(topic, 2.0, "optical", packed_depth(depth_mm(1)), format)
+    bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
+    frames = frames_of(bag.write(tmp_path))
+    for i, frame in enumerate(frames):
+        assert np.array_equal(frame.depth_m, depth_mm(i) / np.float32(1000))
+        assert frame.color is None
+    assert len(frames) == 2
+
+
+def test_depth_as_a_tiff_of_metres(tmp_path: Path) -> None:
+    bag, image = Recording("mcap"), BytesIO()
+    Image.fromarray((depth_mm(0) / 1000).astype(np.float32)).save(image, "TIFF")
+    bag.packed(f"{DEPTH}/compressed", 1.0, "optical", image.getvalue(), "32FC1; tiff compressed")
+    bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
+    (frame,) = frames_of(bag.write(tmp_path))
+    assert np.allclose(frame.depth_m, depth_mm(0) / 1000, atol=1e-6)
+
+
+def test_eight_bits_are_no_depth_where_there_is_better(tmp_path: Path) -> None:
+    bag = Recording("mcap")
+    eight = (depth_mm(0) // 16).astype(np.uint8)
+    bag.packed(f"{DEPTH}/compressed", 1.0, "optical", jpeg(eight), "16UC1; jpeg compressed ")
+    bag.packed(f"{DEPTH}/compressedDepth", 1.0, "optical", packed_depth(depth_mm(0)), "")
+    bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
+    (frame,) = frames_of(bag.write(tmp_path))
+    assert np.array_equal(frame.depth_m, depth_mm(0) / np.float32(1000))
+
+
+def test_frames_of_no_name_are_not_one_camera(tmp_path: Path) -> None:
+    bag = Recording("bag")
+    topic = "/device_0/sensor_0/Depth_0/image/data"
+    bag.image(topic, 1.0, "0", depth_mm(0), "mono16")
+    bag.info("/device_0/sensor_0/Depth_0/info/camera_info", "0", K, (WIDTH, HEIGHT))
+    wide = np.array([[40.0, 0, 23.5], [0, 40.0, 17.5], [0, 0, 1]])
+    bag.image("/device_0/sensor_1/Color_0/image/data", 1.0, "0", color(0), "rgb8")
+    bag.info("/device_0/sensor_1/Color_0/info/camera_info", "0", wide, (WIDTH, HEIGHT))
+    sequence = open_sequence(bag.write(tmp_path))
+    assert np.array_equal(sequence.camera.K, K)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from composenet.geometry.camera import back_project, subsample_camera, subsampled
@@ -35,6 +36,7 @@ _DONE = 0.001  # a step of fewer metres and radians is the last one
 _MIN_SLOPE = 0.01  # of brightness a pixel; what is plainer says nothing
 _MIN_PIXELS, _MIN_SHARE = 50, 0.3  # in common, for a misfit
 _HUBER = 0.05
+_KNOWN = 0.9  # of a pixel and of those beside it
 _REACH_M, _FIRST_REACH_M = 0.1, 0.3  # a surface that far from the other image's is another one
 _REST = (0.006, 0.006, 0.006, 0.002, 0.002, 0.002)  # of a first guess, a pixel and rad^2 or m^2
 
@@ -65,13 +67,14 @@ class Equations:
 
 class LitView:
     """An RGB-D image to be aligned with others. depth_m: (H, W) metres, 0 where unknown. color:
-    (H, W, 3) uint8, RGB."""
+    (H, W, 3) uint8, RGB, black where unknown."""
 
     def __init__(
         self, depth_m: NDArray[np.float32], color: NDArray[np.uint8], camera: Camera
     ) -> None:
-        image = (brightness(color), depth_m, camera)
-        while image[2].width > _WIDEST:
+        known = np.asarray(color.any(axis=-1), np.float32)
+        image = (brightness(color), known, depth_m, camera)
+        while image[3].width > _WIDEST:
             image = _halved(*image)
         self.levels = [_level(*image)]
         while len(self.levels) < LEVELS:
@@ -79,14 +82,27 @@ class LitView:
             self.levels.append(_level(*image))
 
 
+_Image = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], Camera]
+"""Brightness, the share of it that is known, depth, and the camera."""
+
+
 def _halved(
-    light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
+    light: NDArray[np.float32],
+    known: NDArray[np.float32],
+    depth_m: NDArray[np.float32],
+    camera: Camera,
+) -> _Image:
     depth_m = np.ascontiguousarray(subsampled(depth_m, 2))
-    return halved(light), depth_m, subsample_camera(camera, 2)
+    return halved(light), halved(known), depth_m, subsample_camera(camera, 2)
 
 
-def _level(light: NDArray[np.float32], depth_m: NDArray[np.float32], camera: Camera) -> _Level:
+def _level(
+    light: NDArray[np.float32],
+    known: NDArray[np.float32],
+    depth_m: NDArray[np.float32],
+    camera: Camera,
+) -> _Level:
+    depth_m = np.where(minimum_filter(known, 3) > _KNOWN, depth_m, 0)
     across, down = np.zeros_like(light), np.zeros_like(light)
     across[:, 1:-1] = (light[:, 2:] - light[:, :-2]) / 2
     down[1:-1] = (light[2:] - light[:-2]) / 2

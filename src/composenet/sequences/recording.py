@@ -28,6 +28,7 @@ from composenet.sequences.leveling import (
 )
 from composenet.sequences.odometry import Odometry
 from composenet.sequences.options import SequenceOptions
+from composenet.sequences.registration import ColorCamera, find_color_camera
 from composenet.sequences.source import Source, SourceFrame, counted, make_K
 
 _SAMPLES = 16  # frames that the depth's scale, the up direction and the floor are taken from
@@ -72,6 +73,7 @@ class RecordedSequence:
         self.camera = subsample_camera(full, self._factor)
         self._full = full
         self._notes = [*source.warnings, *checks.camera_notes(full)]
+        self._color_camera = None if source.levelled else self._find_color_camera()
         if options.odometry:
             self._follow_camera(watch)
         self._drop_lost_cameras()
@@ -122,7 +124,7 @@ class RecordedSequence:
                 depth_m=depth_m,
                 camera=self.camera,
                 T_world_camera=T_world_camera,
-                color=self._read_color(entry),
+                color=self._read_color(entry, depth_m),
                 timestamp_s=entry.timestamp_s,
                 name=entry.name,
                 pose_known=self.has_poses,
@@ -186,7 +188,8 @@ class RecordedSequence:
         for frame in watch(self._frames):
             try:
                 depth_m = self._read_depth_m(frame)
-                T_source_camera = odometry(depth_m, self.camera, self._read_color(frame))
+                color = self._read_color(frame, depth_m)
+                T_source_camera = odometry(depth_m, self.camera, color)
             except SequenceError as error:
                 self._skip(frame, str(error))
                 continue
@@ -280,7 +283,17 @@ class RecordedSequence:
             raise SequenceError("depth image holds no measurement")
         return depth_m
 
-    def _read_color(self, frame: SourceFrame) -> NDArray[np.uint8] | None:
+    def _read_color(
+        self, frame: SourceFrame, depth_m: NDArray[np.float32]
+    ) -> NDArray[np.uint8] | None:
+        """Colour (H, W, 3) of a frame's depth image; None where there is none that can be read."""
+        rgb = self._read_stretched(frame)
+        if rgb is None or self._color_camera is None:
+            return rgb
+        return self._color_camera.onto(rgb, depth_m, self.camera)
+
+    def _read_stretched(self, frame: SourceFrame) -> NDArray[np.uint8] | None:
+        """The colour image stretched to the depth's size; None likewise."""
         if frame.color is None:
             return None
         try:
@@ -288,6 +301,26 @@ class RecordedSequence:
         except SequenceError as error:
             self._colorless[frame.index] = (frame.name, str(error))
             return None
+
+    def _find_color_camera(self) -> ColorCamera | None:
+        """The camera of colour images that do not lie on the depth images, and a note of it."""
+        images, aspects = [], []
+        for place, depth_m in self._read_samples().items():
+            frame = self._frames[place]
+            rgb = self._read_stretched(frame)
+            if rgb is not None and frame.color is not None:
+                width, height = image_size(frame.color)
+                depth_m[depth_m > self._options.max_depth_m] = 0
+                images.append((depth_m, rgb))
+                aspects.append(width * self.camera.height / (height * self.camera.width))
+        found = find_color_camera(images, self.camera, *aspects[:1])
+        if found is not None:
+            off = found.pixels_off(self.camera) * self._factor
+            self._notes.append(
+                f"colour is of another camera, up to {off:.0f} pixels off: it is brought onto the "
+                "depth images as its edges say"
+            )
+        return found
 
     def _nothing_left(self) -> SequenceError:
         name, reason = self.skipped[0]

@@ -13,7 +13,7 @@ Times are those of the images' headers.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,9 +26,9 @@ from composenet.errors import SequenceError
 from composenet.records import FloatArray
 from composenet.sequences import ros_bag
 from composenet.sequences.images import ImageSource
-from composenet.sequences.registered import RegisteredColor
+from composenet.sequences.registration import ColorCamera, RegisteredColor
 from composenet.sequences.ros_bag import Bag, BagImage
-from composenet.sequences.ros_transforms import Transforms, name, seconds
+from composenet.sequences.ros_transforms import Transforms, is_world_name, name, seconds
 from composenet.sequences.source import (
     Source,
     SourceFrame,
@@ -40,16 +40,22 @@ from composenet.sequences.source import (
 from composenet.sequences.tum import MAX_GAP_S, nearest
 
 SUFFIXES = (".bag", ".mcap", ".db3")
-_UNITS = "/option/Depth_Units/value"  # of RealSense's software
 _MILLIMETRE = 1e-3
-_ON_COLOUR = re.compile("aligned|registered")
+_UNITS = re.compile("/option/Depth[_ ]Units/value$")  # of RealSense's software
+_ON_COLOUR = re.compile("aligned|registered|depth_to_(color|rgb)")
+_RECTIFIED = re.compile("(^|[/_])rect")
+_OTHER_IMAGES = re.compile(
+    "(^|[/_])(ir|infra|infrared|thermal|confidence|amplitude|intensity|label|segment)"
+)
+_INFO = re.compile("(/info)?/[^/]*$")  # what stands after the camera's name
+_NO_FRAME = ("", "0")  # RealSense's software wrote "0" for all cameras
 
 
 def matches(path: Path) -> bool:
     """Whether it is called as ROS recordings are."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return path.is_file() and path.suffix.lower() in SUFFIXES
+    return path.is_file() and path.suffix in SUFFIXES
 
 
 def read_source(path: Path, depth_topic: str | None = None) -> Source:
@@ -57,11 +63,11 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
     SequenceError, and ConfigError where the library for it is not installed."""
     bag, warnings = Bag(path), list[str]()
     topic = _depth_topic(bag, depth_topic, warnings)
-    color_topic = _nearest_topic(topic, _image_topics(bag, ros_bag.is_color))
+    color_topic = _color_topic(bag, topic)
     images = _images(bag, topic, color_topic, warnings)
     if not images[topic]:
         raise SequenceError(f"{path}: no depth image of {topic} can be read")
-    transforms = _transforms(bag, warnings)
+    transforms = _transforms(bag, topic, warnings)
     camera = name(bag.first(topic).header.frame_id)
     K, units_m = _intrinsics(bag, topic, warnings), _depth_units_m(bag, topic)
     frames = [
@@ -70,24 +76,21 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
     ]
     if color_topic:
         registration = _registration(bag, transforms, camera, color_topic, K, units_m)
-        frames = _coloured(frames, images[color_topic], color_topic, registration, warnings)
+        frames = _coloured(frames, images[color_topic], registration)
+        warnings += without_colour(frames, f"{color_topic} has none within {MAX_GAP_S} s of them")
     has_poses = transforms.is_world(camera)
     if has_poses:
         frames = [_with_pose(frame, transforms, camera) for frame in frames]
-    elif transforms.moves(camera):
-        warnings.append(
-            f"the camera's place, {camera!r}, is known in {transforms.root(camera)!r} alone, which "
-            "by its name is a part of what carries it, and not the world"
-        )
+    warnings += _world_notes(transforms, camera)
     return Source(
         path=path,
         frames=tuple(frames),
         has_poses=has_poses,
         K=K,
-        intrinsics_file=f"a camera_info topic beside {topic}",
+        intrinsics_file=f"a camera_info topic beside {topic}, of images of that size",
         poses_file=f"tf, from a world to {camera!r}",
         depth_scale=1 / units_m,
-        gravity=read_gravity(path.parent),
+        gravity=read_gravity(path if path.is_dir() else path.parent),
         warnings=tuple(warnings),
     )
 
@@ -99,23 +102,14 @@ def _images(
     found: dict[str, list[tuple[float, BagImage]]] = {t: [] for t in (topic, color_topic) if t}
     try:
         for of, time_ns, message in bag.messages(list(found)):
-            try:
-                size = ros_bag.image_size(message)
-            except SequenceError:
-                size = (0, 0)  # what is wrong with it is said when it is read
             alike = [image for _, image in found[of][-1:] if image.time_ns == time_ns]
             number = alike[0].number + 1 if alike else 0
             stamp_s = seconds(message.header.stamp) or 1e-9 * time_ns
-            found[of].append((stamp_s, BagImage(bag, of, time_ns, number, size)))
+            image = BagImage(bag, of, time_ns, number, ros_bag.known_size(message))
+            found[of].append((stamp_s, image))
     except SequenceError as error:
         warnings.append(f"{error}: what comes before is taken")
     return {of: sorted(images, key=lambda image: image[0]) for of, images in found.items()}
-
-
-def _with_pose(frame: SourceFrame, transforms: Transforms, camera: str) -> SourceFrame:
-    assert frame.timestamp_s is not None
-    T = transforms.T_root_frame(camera, frame.timestamp_s)
-    return posed(frame, T, f"no transform from {transforms.root(camera)!r} to it at that time")
 
 
 # --- topics ---------------------------------------------------------------------------------
@@ -133,8 +127,8 @@ def _image_topics(bag: Bag, kind: Callable[[Any], bool]) -> list[str]:
 
 
 def _depth_topic(bag: Bag, wanted: str | None, warnings: list[str]) -> str:
-    """The depth images that are asked for. By default those which the driver has brought onto the
-    colour images, else rectified ones; of these such as are not compressed."""
+    """The depth images that are asked for. By default such as are called so; of these those which
+    the driver has brought onto the colour images, else rectified ones; not compressed ones."""
     found = _image_topics(bag, ros_bag.is_depth)
     if wanted is not None:
         if wanted in found:
@@ -142,22 +136,39 @@ def _depth_topic(bag: Bag, wanted: str | None, warnings: list[str]) -> str:
         raise SequenceError(
             f"{bag.path}: no depth images of {wanted}; there are {_listed(found or ['none'])}"
         )
-    if not found:
+    called = [topic for topic in found if not _OTHER_IMAGES.search(topic.lower())]
+    if not called:
         kinds = sorted({type for type in bag.topics.values()})
         raise SequenceError(
             f"{bag.path}: no topic with depth images ({', '.join(ros_bag.DEPTH_ENCODINGS)}) in it, "
-            f"only {_listed(kinds) or 'nothing'}"
+            f"only {_listed(found) or _listed(kinds) or 'nothing'}"
+            + ("; --depth-topic takes one of them all the same" if found else "")
         )
 
-    def worth(topic: str) -> tuple[bool, bool, bool, int]:
-        compressed = bag.topics[topic] == ros_bag.COMPRESSED
-        return bool(_ON_COLOUR.search(topic)), "rect" in topic, not compressed, -len(topic)
+    def worth(topic: str) -> tuple[bool, bool, bool, bool, bool, int]:
+        low, plain = topic.lower(), bag.topics[topic] == ros_bag.IMAGE
+        on_colour, rectified = bool(_ON_COLOUR.search(low)), bool(_RECTIFIED.search(low))
+        by_name = topic.endswith("/compressedDepth")
+        return "depth" in low, on_colour, rectified, plain, by_name, -len(topic)
 
-    best = max(found, key=worth)
-    others = [topic for topic in found if _camera_of(topic) != _camera_of(best)]
+    best = max(called, key=worth)
+    others = [topic for topic in called if _camera_of(topic) != _camera_of(best)]
     if others:
         warnings.append(f"depth of {best} is taken; --depth-topic chooses {_listed(others)}")
+    elif "depth" not in best.lower():
+        warnings.append(f"16-bit images of {best} are taken for depth")
     return best
+
+
+def _color_topic(bag: Bag, depth_topic: str) -> str | None:
+    """Of the camera whose name is most like that of the depth images; rectified if there are such,
+    not compressed ones."""
+
+    def worth(topic: str) -> tuple[int, bool, bool]:
+        plain = bag.topics[topic] == ros_bag.IMAGE
+        return _shared(depth_topic, topic), bool(_RECTIFIED.search(topic.lower())), plain
+
+    return max(_image_topics(bag, ros_bag.is_color), key=worth, default=None)
 
 
 def _camera_of(topic: str) -> str:
@@ -165,35 +176,41 @@ def _camera_of(topic: str) -> str:
     return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
 
 
+def _shared(topic: str, other: str) -> int:
+    """How many parts of two topics' names are the same from their beginning."""
+    pairs = enumerate(zip(topic.split("/"), other.split("/"), strict=False))
+    return next((k for k, (a, b) in pairs if a != b), min(topic.count("/"), other.count("/")) + 1)
+
+
 def _listed(names: list[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _nearest_topic(topic: str, others: list[str]) -> str | None:
-    """Of these the one that shares the most of the topic's name from its beginning."""
-
-    def shared(other: str) -> int:
-        pairs = list(zip(topic.split("/"), other.split("/"), strict=False))
-        return next((k for k, (a, b) in enumerate(pairs) if a != b), len(pairs))
-
-    compressed = "/compressed"
-    return max(others, key=lambda o: (shared(o), not o.endswith(compressed)), default=None)
 
 
 # --- camera and transforms ------------------------------------------------------------------
 
 
 def _intrinsics(bag: Bag, topic: str, warnings: list[str]) -> NDArray[np.float64] | None:
-    """Of a topic's images: K, or of rectified ones that of the projection."""
-    infos = [t for t, type in bag.topics.items() if type == ros_bag.CAMERA_INFO]
-    info_topic = _nearest_topic(topic, sorted(infos))
-    if info_topic is None:
+    """Of a topic's images: K, or of rectified ones that of the projection. None where no camera
+    has its name or frame and images of its size."""
+    image = bag.first(topic)
+    frame, size = name(image.header.frame_id), ros_bag.known_size(image)
+    found: list[tuple[int, str, Any]] = []
+    for other, type in sorted(bag.topics.items()):
+        if type != ros_bag.CAMERA_INFO:
+            continue
+        with suppress(SequenceError):
+            info, shared = bag.first(other), _shared(topic, other)
+            beside = shared >= len(_INFO.sub("", other).split("/"))
+            same = frame not in _NO_FRAME and name(info.header.frame_id) == frame
+            if (beside or same) and size in (None, (info.width, info.height)):
+                found.append((shared, other, info))
+    if not found:
         return None
-    info = bag.first(info_topic)
+    _, info_topic, info = max(found, key=lambda entry: entry[0])
     K = np.array(info.k if hasattr(info, "k") else info.K, float).reshape(3, 3)
     P = np.array(info.p if hasattr(info, "p") else info.P, float).reshape(3, 4)
     lens = np.abs(np.array(info.d if hasattr(info, "d") else info.D, float))
-    if "rect" in topic and P[0, 0] > 0:
+    if _RECTIFIED.search(topic.lower()) and P[0, 0] > 0:
         K = P[:, :3]
     elif lens.size and lens.max() > 1e-3:
         warnings.append(
@@ -208,26 +225,51 @@ def _intrinsics(bag: Bag, topic: str, warnings: list[str]) -> NDArray[np.float64
 
 def _depth_units_m(bag: Bag, topic: str) -> float:
     """Metres a step of 16-bit depth: millimetres, but for what RealSense's software says."""
-    told = [t for t in bag.topics if t.endswith(_UNITS)]
-    units = _nearest_topic(topic, told)
+    told = sorted(t for t in bag.topics if _UNITS.search(t))
+    units = max(told, key=lambda t: _shared(topic, t), default=None)
     if units is None:
         return _MILLIMETRE
     try:
         metres = float(bag.first(units).data)
-    except ValueError:
+    except (ValueError, SequenceError):
         return _MILLIMETRE
     return metres if 1e-6 < metres < 1 else _MILLIMETRE
 
 
-def _transforms(bag: Bag, warnings: list[str]) -> Transforms:
+def _transforms(bag: Bag, depth_topic: str, warnings: list[str]) -> Transforms:
+    """Those of the robot whose name the depth images share, which may be none."""
     topics = [t for t, type in bag.topics.items() if type in ros_bag.TRANSFORMS]
-    told = []
-    try:
-        for topic, _, message in bag.messages(topics):
-            told += [(stamped, topic.endswith("static")) for stamped in message.transforms]
-    except SequenceError as error:
-        warnings.append(f"{error}: transforms before that are taken")
-    return Transforms(told)
+    most = max((_shared(depth_topic, t) for t in topics), default=0)
+    topics = [t for t in topics if _shared(depth_topic, t) == most]
+
+    def told() -> Iterator[tuple[Any, bool]]:
+        try:
+            for topic, _, message in bag.messages(topics):
+                for stamped in message.transforms:
+                    yield stamped, topic.endswith("static")
+        except SequenceError as error:
+            warnings.append(f"{error}: transforms before that are taken")
+
+    return Transforms(told())
+
+
+def _with_pose(frame: SourceFrame, transforms: Transforms, camera: str) -> SourceFrame:
+    assert frame.timestamp_s is not None
+    T = transforms.T_root_frame(camera, frame.timestamp_s)
+    return posed(frame, T, f"no transform from {transforms.root(camera)!r} to it at that time")
+
+
+def _world_notes(transforms: Transforms, camera: str) -> list[str]:
+    """What is taken for the world where that is not sure."""
+    root = transforms.root(camera)
+    if not transforms.moves(camera) or is_world_name(root):
+        return []
+    if transforms.is_world(camera):
+        return [f"{root!r}, in which transforms place the camera, is taken for the world"]
+    return [
+        f"the camera's place, {camera!r}, is known in {root!r} alone, which by its name is a part "
+        "of what carries it, and not the world"
+    ]
 
 
 # --- colour ---------------------------------------------------------------------------------
@@ -243,42 +285,29 @@ def _registration(
     color_topic: str,
     K_depth: FloatArray | None,
     units_m: float,
-) -> Registration | None:
-    """How it is done, None where the recording does not say how the cameras stand."""
+) -> Registration:
+    """How it is done. Where the recording does not say how the cameras stand, colour is left as it
+    is (`registration.find_color_camera` looks at it)."""
     header = bag.first(color_topic).header
-    color_frame = name(header.frame_id)
-    if color_frame and color_frame == depth_frame:
-        return lambda depth, color: color
-    T_color_depth = transforms.T_between(color_frame, depth_frame, seconds(header.stamp))
-    K_color = _intrinsics(bag, color_topic, [])
+    color_frame, K_color = name(header.frame_id), _intrinsics(bag, color_topic, [])
+    T_color_depth = None
+    if color_frame not in (*_NO_FRAME, depth_frame):
+        T_color_depth = transforms.T_between(color_frame, depth_frame, seconds(header.stamp))
     if T_color_depth is None or K_color is None or K_depth is None:
-        return None
-    return lambda depth, color: RegisteredColor(
-        depth, color, K_depth, K_color, T_color_depth, units_m
-    )
+        return lambda depth, color: color
+    camera = ColorCamera(K_color, T_color_depth)
+    return lambda depth, color: RegisteredColor(depth, color, K_depth, camera, units_m)
 
 
 def _coloured(
-    frames: list[SourceFrame],
-    colors: list[tuple[float, BagImage]],
-    topic: str,
-    registration: Registration | None,
-    warnings: list[str],
+    frames: list[SourceFrame], colors: list[tuple[float, BagImage]], registration: Registration
 ) -> list[SourceFrame]:
     """The frames, each with the colour image nearest in time."""
-    if registration is None:
-        warnings.append(
-            f"colour of {topic} is left out: its images are not those of the depth camera, and "
-            "nothing says how the two cameras stand to each other"
-        )
-        return frames
     at_s = np.array([frame.timestamp_s for frame in frames])
     places = nearest(at_s, np.array([stamp_s for stamp_s, _ in colors]))
-    coloured = [
+    return [
         replace(frame, color=registration(frame.depth, colors[place][1]))
         if place >= 0 and frame.depth is not None
         else frame
         for frame, place in zip(frames, places, strict=True)
     ]
-    warnings += without_colour(coloured, f"{topic} has none within {MAX_GAP_S} s of them")
-    return coloured

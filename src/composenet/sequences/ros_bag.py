@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from threading import RLock
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,13 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 _COLOR_CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "8UC3": (2, 1, 0)}
 _COLOR_CHANNELS |= {"rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "8UC4": (2, 1, 0)}
+_DEPTH_MODES = ("I;16", "I;16B", "I", "F")
+_PNG = b"\x89PNG"
 _HEADER_BYTES = 12  # of compressedDepth: a number, and two by which 32FC1 is made of 16 bits
 
 
 class Bag:
-    """A recording whose messages are read in any order. Threads take turns."""
+    """A recording whose messages are read in any order."""
 
     def __init__(self, path: Path) -> None:
         """Raises ConfigError where the library is not installed, SequenceError where it cannot
@@ -40,7 +43,7 @@ class Bag:
                 "`pip install 'composenet[ros]'`"
             ) from None
         self.path = path
-        self._lock = RLock()
+        self._lock = Lock()
         try:
             store = get_typestore(Stores.ROS2_HUMBLE)  # for recordings without message types
             self._reader = AnyReader([path], default_typestore=store)
@@ -60,25 +63,29 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[tuple[str, int, Any]]:
         """(topic, time of recording, message) in the order of these times, from start_ns until
-        before stop_ns. Raises SequenceError from the first that cannot be read on."""
+        before stop_ns, for one reader at a time. Raises SequenceError from the first that cannot
+        be read on."""
         chosen = [c for c in self._reader.connections if c.topic in topics]
         if not chosen:
             return
-        with self._lock:
-            try:
-                for connection, time_ns, data in self._reader.messages(chosen, start_ns, stop_ns):
-                    message = self._reader.deserialize(data, connection.msgtype)
-                    yield connection.topic, time_ns, message
-            except SequenceError:
-                raise
-            except Exception as error:  # of many kinds on corrupt bytes
-                raise SequenceError(f"{self.path}: damaged ({_said(error)})") from None
+        try:
+            for connection, time_ns, data in self._reader.messages(chosen, start_ns, stop_ns):
+                message = self._reader.deserialize(data, connection.msgtype)
+                yield connection.topic, time_ns, message
+        except Exception as error:  # of many kinds on corrupt bytes
+            raise SequenceError(f"{self.path}: damaged ({_said(error)})") from None
 
     def first(self, topic: str) -> Any:
         """The topic's first message. Raises SequenceError."""
         for _, _, message in self.messages([topic]):
             return message
         raise SequenceError(f"{self.path}: no message of {topic} can be read")
+
+    def at(self, topic: str, time_ns: int) -> list[Any]:
+        """The topic's messages of that time of recording. Threads take turns. Raises
+        SequenceError."""
+        with self._lock:
+            return [message for *_, message in self.messages([topic], time_ns, time_ns + 1)]
 
 
 def _said(error: Exception) -> str:
@@ -89,55 +96,55 @@ def _said(error: Exception) -> str:
 @dataclass(frozen=True)
 class BagImage:
     """An image message. time_ns: when it was recorded, number: which of those of that time.
-    known_size: width, height."""
+    known_size: width, height; None where the image cannot be read."""
 
     bag: Bag
     topic: str
     time_ns: int
     number: int
-    known_size: tuple[int, int]
+    known_size: tuple[int, int] | None
 
     def open(self) -> Image.Image:
         """Depth as 16 bits, in the recording's units or millimetres; else colour. Raises
         SequenceError."""
-        message = self.message()
-        return decoded(message) if hasattr(message, "encoding") else unpacked(message)
-
-    def message(self) -> Any:
-        """As the library gives it. Raises SequenceError."""
-        messages = self.bag.messages([self.topic], self.time_ns, self.time_ns + 1)
-        for number, (_, _, message) in enumerate(messages):
-            if number == self.number:
-                return message
-        raise SequenceError("image is missing")
-
-
-def encoding(message: Any) -> str:
-    """What an image message says it holds: `16UC1`, `rgb8` ..., or "" where nothing is said."""
-    if hasattr(message, "encoding"):
-        return str(message.encoding)
-    return str(message.format).partition(";")[0].strip()
+        messages = self.bag.at(self.topic, self.time_ns)
+        if self.number >= len(messages):
+            raise SequenceError("image is missing")
+        message = messages[self.number]
+        return decoded(message) if _is_plain(message) else unpacked(message)
 
 
 def is_depth(message: Any) -> bool:
-    """Whether the image message holds depth."""
-    packed = not hasattr(message, "encoding")
-    return encoding(message) in DEPTH_ENCODINGS or (packed and "compressedDepth" in message.format)
+    """Whether the image message holds depth, or 16 bits that may be depth."""
+    if _is_plain(message):
+        return message.encoding in DEPTH_ENCODINGS
+    if "rvl" in message.format.lower():
+        return True
+    with suppress(SequenceError):
+        return _packed_image(message)[0].mode in _DEPTH_MODES
+    return False
 
 
 def is_color(message: Any) -> bool:
     """Whether the image message holds colour that can be read."""
-    if hasattr(message, "encoding"):
+    if _is_plain(message):
         return message.encoding in _COLOR_CHANNELS
-    return not is_depth(message) and not encoding(message).startswith(("mono", "8UC1", "16"))
+    with suppress(SequenceError):
+        return _packed_image(message)[0].mode in ("RGB", "RGBA", "P")
+    return False
 
 
-def image_size(message: Any) -> tuple[int, int]:
-    """(width, height). Raises SequenceError."""
-    if hasattr(message, "encoding"):
+def known_size(message: Any) -> tuple[int, int] | None:
+    """(width, height) of an image message, None where it cannot be read."""
+    if _is_plain(message):
         return int(message.width), int(message.height)
-    with _packed_image(message) as image:
-        return image.size
+    with suppress(SequenceError):
+        return _packed_image(message)[0].size
+    return None
+
+
+def _is_plain(message: Any) -> bool:
+    return hasattr(message, "encoding")
 
 
 def decoded(message: Any) -> Image.Image:
@@ -148,7 +155,8 @@ def decoded(message: Any) -> Image.Image:
         raise SequenceError(f"image is encoded as {kind!r}, which cannot be read")
     size = {"32FC1": 4, "16UC1": 2, "mono16": 2}.get(kind, 4 if "4" in kind or "a8" in kind else 3)
     try:
-        rows = np.asarray(message.data, np.uint8).reshape(message.height, message.step)
+        step = message.step or size * message.width
+        rows = np.asarray(message.data, np.uint8).reshape(message.height, step)
         pixels = np.ascontiguousarray(rows[:, : size * message.width])
         if pixels.shape[1] < size * message.width:
             raise SequenceError("image is truncated or corrupt")
@@ -165,27 +173,29 @@ def decoded(message: Any) -> Image.Image:
 
 def unpacked(message: Any) -> Image.Image:
     """A compressed image message. Raises SequenceError."""
-    image = _packed_image(message)
-    if not (is_depth(message) and encoding(message) == "32FC1"):
-        return image
+    image, quantised = _packed_image(message)
     try:
+        if image.mode == "F":
+            return _millimetres(np.array(image))
+        if not (quantised and message.format.startswith("32FC1")):
+            return image
         scale, offset = np.frombuffer(bytes(message.data[4:_HEADER_BYTES]), "<f4")
         steps = np.array(image, np.float32)
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth_m = np.where(steps > 0, scale / (steps - offset), 0.0)
+            return _millimetres(np.where(steps > 0, scale / (steps - offset), 0.0))
     except (ValueError, OSError):
         raise SequenceError("image is truncated or corrupt") from None
-    return _millimetres(depth_m)
 
 
-def _packed_image(message: Any) -> Image.Image:
-    """The file within the message, its header read."""
-    depth = "compressedDepth" in message.format
-    if depth and "rvl" in message.format.lower():
+def _packed_image(message: Any) -> tuple[Image.Image, bool]:
+    """The file within the message, its header read, and whether what `compressedDepth` adds stands
+    before it. Raises SequenceError."""
+    if "rvl" in message.format.lower():
         raise SequenceError("depth is compressed by RVL, which cannot be read (PNG can)")
-    data = bytes(message.data[_HEADER_BYTES:] if depth else message.data)
+    data = bytes(message.data)
+    added = data[_HEADER_BYTES:].startswith(_PNG) and not data.startswith(_PNG)
     try:
-        return Image.open(BytesIO(data))
+        return Image.open(BytesIO(data[_HEADER_BYTES if added else 0 :])), added
     except Exception:  # decoders raise many kinds on corrupt bytes
         raise SequenceError("image is corrupt or of an unknown kind") from None
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -15,11 +17,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from composenet.geometry.transform import inverse_T, make_T
 
 MAX_GAP_S = 1.0
-"""Between two transforms that lie further apart in time nothing is told."""
+"""Between two transforms that differ and lie further apart in time nothing is told."""
 MAX_BEYOND_S = 0.05
 """So long before the first and after the last that one holds."""
 _WORLD = re.compile(r"map|odom|world|earth|origin|init|mocap|vicon|local|global")
-_BODY = re.compile(r"(link|frame|footprint|body|base|imu|camera)$")
+_BODY = re.compile(
+    r"(link|frame|footprint|body|base|imu|camera|trunk|torso|chassis|robot|stabilized|optical)$"
+)
 
 
 @dataclass(frozen=True)
@@ -43,73 +47,80 @@ class _Edge:
         if after in (0, len(times)):
             end = min(after, len(times) - 1)
             return _matrix(self.poses[end]) if abs(times[end] - time_s) <= MAX_BEYOND_S else None
-        if times[after] - times[after - 1] > MAX_GAP_S:
-            return None
         pair = self.poses[after - 1 : after + 1]
+        if times[after] - times[after - 1] > MAX_GAP_S and not np.array_equal(*pair):
+            return None
         share = (time_s - times[after - 1]) / (times[after] - times[after - 1])
         turn = Slerp([0, 1], Rotation.from_quat(pair[:, 3:]))(share)
         return make_T(turn.as_matrix(), (1 - share) * pair[0, :3] + share * pair[1, :3])
 
 
 class Transforms:
-    """The tree of frames. A frame that had several parents is in that which was told of last."""
+    """The tree of frames. A frame that had several parents is in that which was told of last, and
+    what was told of it from time to time counts before what holds always."""
 
     def __init__(self, told: Iterable[tuple[Any, bool]]) -> None:
         """told: stamped transforms, and whether each holds at all times."""
-        parents: dict[str, str] = {}
-        rows: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
-        fixed: dict[tuple[str, str], bool] = {}
-        for stamped, always in told:
+        parents: dict[tuple[str, bool], str] = {}
+        rows: dict[tuple[str, str, bool], array[float]] = defaultdict(lambda: array("d"))
+        for stamped, fixed in told:
             child, parent = name(stamped.child_frame_id), name(stamped.header.frame_id)
             t, q = stamped.transform.translation, stamped.transform.rotation
             row = (seconds(stamped.header.stamp), t.x, t.y, t.z, q.x, q.y, q.z, q.w)
-            if not np.isfinite(row).all() or not 0.9 < np.linalg.norm(row[4:]) < 1.1:
-                continue
-            parents[child] = parent
-            rows[child, parent].append(row)
-            fixed[child, parent] = always
+            length = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+            if 0.8 < length < 1.2 and all(map(isfinite, row)):
+                parents[child, fixed] = parent
+                rows[child, parent, fixed].extend(row)
         self._edges: dict[str, _Edge] = {}
-        for child, parent in parents.items():
-            table = np.array(rows[child, parent])
+        for (child, fixed), parent in sorted(parents.items(), key=lambda p: not p[0][1]):
+            table = np.array(rows[child, parent, fixed]).reshape(-1, 8)
             _, order = np.unique(table[:, 0], return_index=True)
-            table = table[-1:] if fixed[child, parent] else table[order]
-            self._edges[child] = _Edge(parent, table[:, 0], table[:, 1:], fixed[child, parent])
+            table = table[-1:] if fixed else table[order]
+            self._edges[child] = _Edge(parent, table[:, 0], table[:, 1:], fixed)
 
     def root(self, frame: str) -> str:
         """The frame at the end of the way through all parents."""
         return self._way(frame)[-1]
 
     def moves(self, frame: str) -> bool:
-        """Whether anything between a frame and its root is told of more than once."""
-        return any(not self._edges[f].fixed for f in self._way(frame)[:-1])
+        """Whether anything between a frame and its root does."""
+        return any(
+            (self._edges[f].poses != self._edges[f].poses[0]).any() for f in self._way(frame)[:-1]
+        )
 
     def T_root_frame(self, frame: str, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4), None where a transform on the way is lacking at that time."""
+        return self._along(self._way(frame)[:-1], time_s)
+
+    def T_between(self, a: str, b: str, time_s: float) -> NDArray[np.float64] | None:
+        """(4, 4) T_a_b, None where both are in no common frame or a transform is lacking."""
+        way_a, way_b = self._way(a), self._way(b)
+        common = next((frame for frame in way_a if frame in way_b), None)
+        if common is None:
+            return None
+        T_common_a = self._along(way_a[: way_a.index(common)], time_s)
+        T_common_b = self._along(way_b[: way_b.index(common)], time_s)
+        if T_common_a is None or T_common_b is None:
+            return None
+        return inverse_T(T_common_a) @ T_common_b
+
+    def _along(self, way: list[str], time_s: float) -> NDArray[np.float64] | None:
+        """(4, 4): the first of these frames in the parent of the last."""
         T = np.eye(4)
-        for child in self._way(frame)[:-1]:
+        for child in way:
             step = self._edges[child].at(time_s)
             if step is None:
                 return None
             T = step @ T
         return T
 
-    def T_between(self, a: str, b: str, time_s: float) -> NDArray[np.float64] | None:
-        """(4, 4) T_a_b, None where both have no common root or a transform is lacking."""
-        if self.root(a) != self.root(b):
-            return None
-        T_root_a, T_root_b = self.T_root_frame(a, time_s), self.T_root_frame(b, time_s)
-        if T_root_a is None or T_root_b is None:
-            return None
-        return inverse_T(T_root_a) @ T_root_b
-
     def is_world(self, frame: str) -> bool:
         """Whether a frame's root stands still in the room: it is called so, or something moves in
         it and it is not called as a part of a robot is."""
         root = self.root(frame)
-        last = root.rpartition("/")[2].lower()
-        if root == frame or _WORLD.search(last):
-            return root != frame
-        return self.moves(frame) and not _BODY.search(last)
+        if root == name(frame) or is_world_name(root):
+            return root != name(frame)
+        return self.moves(frame) and not _BODY.search(root.lower())
 
     def _way(self, frame: str) -> list[str]:
         """The frame, its parent and so on; a circle ends where it closes."""
@@ -117,6 +128,11 @@ class Transforms:
         while (edge := self._edges.get(way[-1])) and edge.parent not in way:
             way.append(edge.parent)
         return way
+
+
+def is_world_name(frame: str) -> bool:
+    """Whether a frame is called as worlds are."""
+    return bool(_WORLD.search(frame.rpartition("/")[2].lower()))
 
 
 def name(frame: str) -> str:
