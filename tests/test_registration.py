@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import inverse_T, make_T
@@ -104,13 +105,61 @@ def test_images_of_another_shape_are_stretched_back(scene: Scene) -> None:
     assert found.K[1, 1] == pytest.approx(300 * camera.height / height, rel=0.04)
 
 
-def test_without_edges_nothing_is_told() -> None:
-    camera = Camera(np.array([[200.0, 0, 79.5], [0, 200.0, 59.5], [0, 0, 1]]), 160, 120)
+def test_what_edges_do_not_tell_is_not_told(scene: Scene) -> None:
+    camera, rng = scene.camera, np.random.default_rng(0)
+    images = seen_by(scene, ColorCamera(camera.K, np.eye(4)))
+    depths, colours = [d for d, _ in images], [c for _, c in images]
+    noise = rng.integers(1, 255, (len(images), *colours[0].shape)).astype(np.uint8)
+    cases = {
+        "wall": [(np.full_like(d, 2.0), c) for d, c in images],
+        "nothing": [(np.zeros_like(d), c) for d, c in images],
+        "noise": list(zip(depths, noise, strict=True)),
+        "grey": [(d, np.full_like(c, 128)) for d, c in images],
+        "black": [(d, np.zeros_like(c)) for d, c in images],
+        "other frames": list(zip(depths, colours[4:] + colours[:4], strict=True)),
+        "few": images[:3],
+        "none": [],
+    }
+    for what, pairs in cases.items():
+        assert find_color_camera(pairs, camera) is None, what
+
+
+@pytest.mark.parametrize("zoom", [1.25, 1.6])
+def test_colour_that_was_registered_has_black_margins(scene: Scene, zoom: float) -> None:
+    narrow = other_camera(scene.camera, zoom, 0.015, (0.0, 0.0))
+    images = [(d, narrow.onto(c, d, scene.camera)) for d, c in seen_by(scene, narrow)]
+    assert all((c == 0).all(axis=-1).mean() > 0.2 for _, c in images)
+    assert find_color_camera(images, scene.camera) is None
+
+
+def test_colours_place_is_projection_pixel_by_pixel() -> None:
     rng = np.random.default_rng(0)
-    wall = np.full((120, 160), 2.0, np.float32)
-    colours = rng.integers(0, 255, (4, 120, 160, 3)).astype(np.uint8)
-    assert find_color_camera([(wall, c) for c in colours], camera) is None
-    assert find_color_camera([], camera) is None
+    camera = Camera(np.array([[20.0, 0, 11.5], [0, 20.0, 8.5], [0, 0, 1]]), 24, 18)
+    depth_m = rng.uniform(0.3, 4, (18, 24)).astype(np.float32)
+    depth_m[rng.random(depth_m.shape) < 0.2] = 0
+    rgb = rng.integers(1, 255, (30, 40, 3)).astype(np.uint8)
+    T = make_T(Rotation.from_euler("xyz", [3, -9, 12], degrees=True).as_matrix(), [0.3, -0.1, 0.2])
+    other = ColorCamera(np.array([[30.0, 0, 18], [0, 33, 16], [0, 0, 1]]), T)
+    got = other.onto(rgb, depth_m, camera)
+    for v, u in np.argwhere(depth_m > 0):
+        expected = np.zeros(3)
+        point = T[:3, :3] @ (depth_m[v, u] * (np.linalg.inv(camera.K) @ [u, v, 1])) + T[:3, 3]
+        if point[2] > 0:
+            a, b = np.rint((other.K @ point / point[2])[:2]).astype(int)
+            if 0 <= a < 40 and 0 <= b < 30:
+                expected = rgb[b, a]
+        assert np.array_equal(got[v, u], expected)
+    assert 0.1 < (got.max(axis=-1) > 0).mean() < 0.95
+
+
+def test_a_stretched_image_shows_a_point_where_its_pixel_went() -> None:
+    camera = ColorCamera(np.array([[30.0, 0, 18], [0, 33, 16], [0, 0, 1]]), np.eye(4))
+    half = camera.stretched((40, 30), (20, 60))
+    ray = np.array([0.2, -0.1, 1.0])
+    (u, v, _), (x, y, _) = camera.K @ ray, half.K @ ray
+    assert x == pytest.approx((u + 0.5) / 2 - 0.5) and y == pytest.approx((v + 0.5) * 2 - 0.5)
+    same = camera.stretched((40, 30), (40, 30))
+    assert np.array_equal(same.K, camera.K)
 
 
 def test_colour_comes_onto_depth_as_if_it_had_been_seen_from_there(scene: Scene) -> None:

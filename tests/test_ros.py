@@ -18,8 +18,7 @@ from composenet.geometry.camera import pixel_rays
 from composenet.geometry.transform import inverse_T, make_T
 from composenet.records import Camera, Frame
 from composenet.sequences import SequenceOptions, open_sequence
-from composenet.sequences.images import read_color, read_depth
-from composenet.sequences.registration import ColorCamera, RegisteredColor
+from composenet.sequences.images import read_depth
 from composenet.sequences.ros_bag import Bag
 from composenet.sequences.ros_transforms import Transforms
 from ros_recordings import KINDS, Recording, packed_depth, png
@@ -316,8 +315,8 @@ def test_colour_of_another_camera_is_brought_onto_the_depth(tmp_path: Path) -> N
     T_color_depth = make_T(np.eye(3), [0.06, 0.0, 0.0])
     bag.transform(0.0, "rig", "optical", np.eye(4), "/tf_static")
     bag.transform(0.0, "rig", "color_optical", inverse_T(T_color_depth), "/tf_static")
-    sequence = open_sequence(bag.write(tmp_path))
-    for i, frame in enumerate(sequence):
+    path = bag.write(tmp_path)
+    for i, frame in enumerate(frames_of(path)):
         for v, u in ((3, 4), (10, 12), (17, 20)):
             z = frame.depth_m[v, u]
             right = int(np.rint(u + K[0, 0] * 0.06 / z))
@@ -326,45 +325,12 @@ def test_colour_of_another_camera_is_brought_onto_the_depth(tmp_path: Path) -> N
         right = int(np.rint(WIDTH - 1 + K[0, 0] * 0.06 / frame.depth_m[5, -2]))
         assert right >= WIDTH and frame.color[5, -1].tolist() == [0, 0, 0]  # beyond the image
     bag.messages = [m for m in bag.messages if m[0] != "/tf_static"]
+    given = frames_of(path, intrinsics=(10, 10, 11.5, 8.5))[1]
+    z = given.depth_m[10, 12]
+    u, v = np.rint([11.5 + 20 * (0.5 / 10 + 0.06 / z), 8.5 + 20 * 1.5 / 10]).astype(int)
+    assert given.color is not None and given.color[10, 12].tolist() == color(1)[v, u].tolist()
     frames = frames_of(bag.write(tmp_path, "alone"))
     assert all(np.array_equal(frame.color, color(i)) for i, frame in enumerate(frames))
-
-
-class Held:
-    """An image in memory."""
-
-    def __init__(self, pixels: np.ndarray) -> None:
-        self.image = Image.fromarray(pixels)
-        self.known_size = self.image.size
-
-    def open(self) -> Image.Image:
-        return self.image.copy()
-
-
-def test_registration_is_projection_pixel_by_pixel() -> None:
-    rng = np.random.default_rng(0)
-    raw = rng.integers(0, 4000, (HEIGHT, WIDTH)).astype(np.uint16)
-    raw[rng.random(raw.shape) < 0.2] = 0
-    rgb = rng.integers(1, 255, (30, 40, 3)).astype(np.uint8)
-    K_color = np.array([[30.0, 0, 18], [0, 33, 16], [0, 0, 1]])
-    T = make_T(Rotation.from_euler("xyz", [3, -9, 12], degrees=True).as_matrix(), [0.3, -0.1, 0.2])
-    units_m = 2.5e-4
-    out = RegisteredColor(Held(raw), Held(rgb), K, ColorCamera(K_color, T), units_m)
-    got = read_color(out, *out.known_size)
-    assert got.shape == (HEIGHT, WIDTH, 3)
-    for v in range(HEIGHT):
-        for u in range(WIDTH):
-            expected = np.zeros(3)
-            z = raw[v, u] * units_m
-            if z == 0:
-                continue  # as far as what is near
-            point = T[:3, :3] @ (z * (np.linalg.inv(K) @ [u, v, 1])) + T[:3, 3]
-            if point[2] > 0:
-                a, b = np.rint((K_color @ point / point[2])[:2]).astype(int)
-                if 0 <= a < 40 and 0 <= b < 30:
-                    expected = rgb[b, a]
-            assert np.array_equal(got[v, u], expected)
-    assert 0.1 < (got.max(axis=-1) > 0).mean() < 0.9
 
 
 @pytest.mark.parametrize(("said", "metre"), [("0.000100", 1e4), ("0.001", 1e3), ("no", 1e3)])

@@ -1,7 +1,8 @@
 """What brightness says of a camera's motion: direct alignment of two RGB-D images, coarse to fine
 (Steinbruecker, Sturm and Cremers, 2011; Kerl, Sturm and Cremers, ICRA 2013).
 
-Images are taken to be registered: the colour of a pixel is that of its depth.
+Images are taken to be registered: the colour of a pixel is that of its depth, black where it is not
+known.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -73,7 +74,7 @@ class RecordedSequence:
         self.camera = subsample_camera(full, self._factor)
         self._full = full
         self._notes = [*source.warnings, *checks.camera_notes(full)]
-        self._color_camera = None if source.levelled else self._find_color_camera()
+        self._color_camera = self._find_color_camera()
         if options.odometry:
             self._follow_camera(watch)
         self._drop_lost_cameras()
@@ -303,17 +304,25 @@ class RecordedSequence:
             return None
 
     def _find_color_camera(self) -> ColorCamera | None:
-        """The camera of colour images that do not lie on the depth images, and a note of it."""
-        images, aspects = [], []
+        """The camera of colour images that are of another, as the recording or, with a note, their
+        edges say."""
+        files = [frame.color for frame in self._frames if frame.color is not None]
+        if self._source.levelled or not files:
+            return None
+        size, to = (0, 0), (self.camera.width, self.camera.height)
+        with suppress(SequenceError):
+            size = image_size(files[0])
+        if not all(size):
+            return None
+        if self._source.color_camera is not None:
+            return self._source.color_camera.stretched(size, to)
+        images = []
         for place, depth_m in self._read_samples().items():
-            frame = self._frames[place]
-            rgb = self._read_stretched(frame)
-            if rgb is not None and frame.color is not None:
-                width, height = image_size(frame.color)
+            rgb = self._read_stretched(self._frames[place])
+            if rgb is not None:
                 depth_m[depth_m > self._options.max_depth_m] = 0
                 images.append((depth_m, rgb))
-                aspects.append(width * self.camera.height / (height * self.camera.width))
-        found = find_color_camera(images, self.camera, *aspects[:1])
+        found = find_color_camera(images, self.camera, size[0] * to[1] / (size[1] * to[0]))
         if found is not None:
             off = found.pixels_off(self.camera) * self._factor
             self._notes.append(

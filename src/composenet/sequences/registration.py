@@ -8,7 +8,7 @@ square pixels and looks the same way as the depth camera, from a place at its si
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -16,24 +16,25 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
+from scipy.stats import rankdata
 
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import apply_T, make_T
 from composenet.records import Camera, FloatArray
-from composenet.sequences.images import ImageSource, image_size, read_color, read_depth
 
 _JUMP = 0.07  # of its depth something lies before what is behind
-_MOST_EDGES, _FEWEST_EDGES = 3000, 500
-_BLUR_PX = 1.0
-_LEAST_WITHIN = 0.3  # of the edges are in the colour images
+_MOST_EDGES, _FEWEST_EDGES = 4000, 300
+_BLUR_PX, _MARGIN_PX = 1.0, 3
+_LEAST_WITHIN = 0.25  # of the edges are in the colour images
 _ZOOMS = np.exp(np.arange(np.log(0.6), np.log(1.9), 0.04))
 _SHIFTS = np.arange(-0.06, 0.061, 0.0125)  # of the middle, in widths of the image
 _STEPS = (0.02, 0.006, 0.006, 0.006)  # of the search around the best: zoom, shifts, sideways
 _FINEST = 1 / 8
+_BOUNDS = ((0.6, -0.08, -0.08, -0.08), (1.9, 0.08, 0.08, 0.08))
 _FEWEST_IMAGES = 4
-_BETTER = 0.04  # so much higher the rank must be with another camera than with none, in each half
+_BESIDE = 0.03  # widths of the image
+_BETTER = 0.03  # by so much another camera's peak must be higher than that of none
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,14 @@ class ColorCamera:
 
     K: FloatArray
     T_color_depth: FloatArray
+
+    def stretched(self, size: tuple[int, int], to: tuple[int, int]) -> ColorCamera:
+        """Of its images of that size (width, height) when they are brought to another."""
+        x, y = to[0] / size[0], to[1] / size[1]
+        K = np.array(self.K, dtype=float)
+        K[0], K[1] = K[0] * x, K[1] * y
+        K[:2, 2] += (x - 1) / 2, (y - 1) / 2  # pixel centres
+        return replace(self, K=K)
 
     def pixels_off(self, camera: Camera, depth_m: float = 2.0) -> float:
         """How far from its place in the depth image the colour of a point is, at most, of all
@@ -77,35 +86,10 @@ class ColorCamera:
 
 
 @dataclass(frozen=True)
-class RegisteredColor:
-    """A colour image as the depth camera would see it. K_depth: (3, 3). units_m: metres a step of
-    depth."""
-
-    depth: ImageSource
-    color: ImageSource
-    K_depth: FloatArray
-    color_camera: ColorCamera
-    units_m: float
-
-    @property
-    def known_size(self) -> tuple[int, int] | None:
-        """(width, height): that of the depth image."""
-        return image_size(self.depth)
-
-    def open(self) -> Image.Image:
-        """The colour image. Raises SequenceError where either cannot be read."""
-        raw = read_depth(self.depth)
-        rgb = read_color(self.color, *image_size(self.color))
-        camera = Camera(np.asarray(self.K_depth), raw.shape[1], raw.shape[0])
-        depth_m = (raw * self.units_m).astype(np.float32)
-        return Image.fromarray(self.color_camera.onto(rgb, depth_m, camera))
-
-
-@dataclass(frozen=True)
 class _Edges:
     """image: (E,) in which of them each is. rays: (E, 2) from the depth camera at depth 1.
     inverse_m: (E,) one over depth. gradients: (I, H, W) float32, by how much the rank of a pixel's
-    gradient, 0..1, is above that of its image's mean."""
+    gradient in its image, 0..1, is above the mean; NaN where there is no colour."""
 
     image: NDArray[np.int64]
     rays: NDArray[np.float64]
@@ -130,41 +114,47 @@ def find_color_camera(
     """The camera of colour images that do not lie on their depth images.
 
     images: depth (H, W), metres, 0 where unknown, and colour (H, W, 3) stretched to its size, of a
-    few frames. camera: of the depth. aspect: how much higher than wide that made pixels which were
-    square. None where colour lies on depth already, or edges do not tell.
+    few frames; black is no colour. camera: of the depth. aspect: how much higher than wide that
+    made pixels which were square. None where colour lies on depth already, or edges do not tell: of
+    a camera that is found by half of the images the others must show as well that its edges lie
+    where no camera beside it would have them.
     """
     if len(images) < _FEWEST_IMAGES:
         return None
     edges = _thinned([_edges(depth_m, rgb, camera) for depth_m, rgb in images])
-    if len(edges.rays) < _FEWEST_EDGES:
+    halves = [edges.of(edges.image % 2 == half) for half in (0, 1)]
+    if min(len(half.rays) for half in halves) < _FEWEST_EDGES:
         return None
 
-    other = _color_camera(_sought(edges, camera, aspect), camera, aspect)
-    own = ColorCamera(camera.K, np.eye(4))
-    halves = [edges.of(edges.image % 2 == half) for half in (0, 1)]
-    better = all(_share(half, other) > _share(half, own) + _BETTER for half in halves)
-    return other if better else None
+    def made(guess: FloatArray) -> ColorCamera:
+        return _color_camera(guess, camera, aspect)
+
+    own, guesses = ColorCamera(camera.K, np.eye(4)), []
+    for half, other in (halves, halves[::-1]):
+        grid = [np.array([z, a, b, 0.0]) for z, a, b in product(_ZOOMS, _SHIFTS, _SHIFTS)]
+        best = max(grid, key=lambda guess: _share(half, made(guess)))
+        guesses.append(_refined(half, best, made))
+        if not _peak(other, made(guesses[-1])) > _peak(other, own) + _BETTER:
+            return None
+    return made(_refined(edges, guesses[0], made))
 
 
-def _sought(edges: _Edges, camera: Camera, aspect: float) -> NDArray[np.float64]:
-    """The best guess (see `_color_camera`) of a grid, and then of ever smaller steps."""
-
-    def share(guess: NDArray[np.float64]) -> float:
-        return _share(edges, _color_camera(guess, camera, aspect))
-
-    grid = [np.array([z, a, b, 0.0]) for z, a, b in product(_ZOOMS, _SHIFTS, _SHIFTS)]
-    best = max(grid, key=share)
-    most, step = share(best), np.array(_STEPS)
+def _refined(
+    edges: _Edges, guess: FloatArray, made: Callable[[FloatArray], ColorCamera]
+) -> FloatArray:
+    """The best guess by ever smaller steps within the bounds."""
+    most, step = _share(edges, made(guess)), np.array(_STEPS)
     while step[0] >= _STEPS[0] * _FINEST:
-        found = max((best + way * step for way in (*np.eye(4), *-np.eye(4))), key=share)
-        if share(found) > most:
-            most, best = share(found), found
+        tries = [np.clip(guess + way * step, *_BOUNDS) for way in (*np.eye(4), *-np.eye(4))]
+        found = max(tries, key=lambda one: _share(edges, made(one)))
+        if (share := _share(edges, made(found))) > most:
+            most, guess = share, found
         else:
             step = step / 2
-    return best
+    return guess
 
 
-def _color_camera(guess: NDArray[np.float64], camera: Camera, aspect: float) -> ColorCamera:
+def _color_camera(guess: FloatArray, camera: Camera, aspect: float) -> ColorCamera:
     """guess: focal length in those of the depth camera, the middle's shift to the right and down
     and the sideways place, in widths of the image (at a metre)."""
     zoom, right, down, aside = guess
@@ -193,9 +183,11 @@ def _edges(depth_m: NDArray[np.float32], rgb: NDArray[np.uint8], camera: Camera)
     rays = np.column_stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
     light = ndimage.gaussian_filter(rgb.mean(axis=-1, dtype=np.float32), _BLUR_PX)
     slope = np.hypot(ndimage.sobel(light, 0), ndimage.sobel(light, 1))
-    rank = slope.ravel().argsort(kind="stable").argsort(kind="stable") / slope.size
-    gradients = ndimage.gaussian_filter(rank.reshape(slope.shape).astype(np.float32), _BLUR_PX)
-    gradients -= gradients.mean()
+    known = ndimage.minimum_filter(rgb.any(axis=-1), 2 * _MARGIN_PX + 1)
+    rank = np.full(slope.shape, 0.5, np.float32)
+    rank[known] = (rankdata(slope[known]) - 0.5) / max(np.count_nonzero(known), 1)
+    gradients = ndimage.gaussian_filter(rank - 0.5, _BLUR_PX)
+    gradients[~known] = np.nan
     return _Edges(np.zeros(len(z), np.int64), rays, 1 / z, gradients[None])
 
 
@@ -217,7 +209,19 @@ def _share(edges: _Edges, color_camera: ColorCamera) -> float:
     total, within = _sum(
         edges.image, edges.rays, edges.inverse_m, edges.gradients, pinhole, float(t[0])
     )
-    return total / within if within > _LEAST_WITHIN * len(edges.rays) else 0.0
+    return total / within if within > _LEAST_WITHIN * len(edges.rays) else -np.inf
+
+
+def _peak(edges: _Edges, color_camera: ColorCamera) -> float:
+    """By how much the share is above what it is where all colour is moved a little."""
+    width = edges.gradients.shape[2]
+    beside = []
+    for right, down in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        K = np.array(color_camera.K)
+        K[:2, 2] += np.array([right, down]) * _BESIDE * width
+        beside.append(_share(edges, replace(color_camera, K=K)))
+    share = _share(edges, color_camera)
+    return share - sum(beside) / 4 if np.isfinite([share, *beside]).all() else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -228,7 +232,7 @@ def _sum(image, rays, inverse_m, gradients, pinhole, aside_m):  # type: ignore[n
     for i in range(len(image)):
         u = int(np.rint(fx * (rays[i, 0] + aside_m * inverse_m[i]) + cx))
         v = int(np.rint(fy * rays[i, 1] + cy))
-        if 0 <= u < width and 0 <= v < height:
+        if 0 <= u < width and 0 <= v < height and not np.isnan(gradients[image[i], v, u]):
             total += gradients[image[i], v, u]
             within += 1
     return total, within

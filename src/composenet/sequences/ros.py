@@ -23,10 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
-from composenet.records import FloatArray
 from composenet.sequences import ros_bag
-from composenet.sequences.images import ImageSource
-from composenet.sequences.registration import ColorCamera, RegisteredColor
+from composenet.sequences.registration import ColorCamera
 from composenet.sequences.ros_bag import Bag, BagImage
 from composenet.sequences.ros_transforms import Transforms, is_world_name, name, seconds
 from composenet.sequences.source import (
@@ -74,9 +72,10 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
         SourceFrame(index, f"{stamp_s:.6f}", depth, timestamp_s=stamp_s)
         for index, (stamp_s, depth) in enumerate(images[topic])
     ]
+    color_camera = None
     if color_topic:
-        registration = _registration(bag, transforms, camera, color_topic, K, units_m)
-        frames = _coloured(frames, images[color_topic], registration)
+        frames = _coloured(frames, images[color_topic])
+        color_camera = _color_camera(bag, transforms, camera, color_topic)
         warnings += without_colour(frames, f"{color_topic} has none within {MAX_GAP_S} s of them")
     has_poses = transforms.is_world(camera)
     if has_poses:
@@ -90,6 +89,7 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
         intrinsics_file=f"a camera_info topic beside {topic}, of images of that size",
         poses_file=f"tf, from a world to {camera!r}",
         depth_scale=1 / units_m,
+        color_camera=color_camera,
         gravity=read_gravity(path if path.is_dir() else path.parent),
         warnings=tuple(warnings),
     )
@@ -274,40 +274,24 @@ def _world_notes(transforms: Transforms, camera: str) -> list[str]:
 
 # --- colour ---------------------------------------------------------------------------------
 
-Registration = Callable[[ImageSource, BagImage], ImageSource]
-"""Brings a colour image onto a depth image."""
 
-
-def _registration(
-    bag: Bag,
-    transforms: Transforms,
-    depth_frame: str,
-    color_topic: str,
-    K_depth: FloatArray | None,
-    units_m: float,
-) -> Registration:
-    """How it is done. Where the recording does not say how the cameras stand, colour is left as it
-    is (`registration.find_color_camera` looks at it)."""
+def _color_camera(
+    bag: Bag, transforms: Transforms, depth_frame: str, color_topic: str
+) -> ColorCamera | None:
+    """Where the recording says that it is another; else None."""
     header = bag.first(color_topic).header
-    color_frame, K_color = name(header.frame_id), _intrinsics(bag, color_topic, [])
-    T_color_depth = None
-    if color_frame not in (*_NO_FRAME, depth_frame):
-        T_color_depth = transforms.T_between(color_frame, depth_frame, seconds(header.stamp))
-    if T_color_depth is None or K_color is None or K_depth is None:
-        return lambda depth, color: color
-    camera = ColorCamera(K_color, T_color_depth)
-    return lambda depth, color: RegisteredColor(depth, color, K_depth, camera, units_m)
+    color_frame, K = name(header.frame_id), _intrinsics(bag, color_topic, [])
+    if K is None or color_frame in (*_NO_FRAME, depth_frame):
+        return None
+    T_color_depth = transforms.T_between(color_frame, depth_frame, seconds(header.stamp))
+    return None if T_color_depth is None else ColorCamera(K, T_color_depth)
 
 
-def _coloured(
-    frames: list[SourceFrame], colors: list[tuple[float, BagImage]], registration: Registration
-) -> list[SourceFrame]:
+def _coloured(frames: list[SourceFrame], colors: list[tuple[float, BagImage]]) -> list[SourceFrame]:
     """The frames, each with the colour image nearest in time."""
     at_s = np.array([frame.timestamp_s for frame in frames])
     places = nearest(at_s, np.array([stamp_s for stamp_s, _ in colors]))
     return [
-        replace(frame, color=registration(frame.depth, colors[place][1]))
-        if place >= 0 and frame.depth is not None
-        else frame
+        replace(frame, color=colors[place][1] if place >= 0 else None)
         for frame, place in zip(frames, places, strict=True)
     ]

@@ -2,10 +2,10 @@
 
 ```
 depth/N.png              uint16, millimetres
-color/N.{jpg,png}        may differ from depth in size; stretched onto it
+color/N.{jpg,png}        may differ from depth in size, and be of another camera
 pose/N.txt               4x4, camera to world; invalid ones are -inf
 intrinsic/intrinsic_depth.txt    4x4 (intrinsic_color and the extrinsics are not used:
-                                 poses are those of the depth camera)
+                                 poses are those of the depth camera; `registration`)
 annotations.json         only what we write (generated, or annotated by a user): then the world is
                          z-up, its floor at z = 0
 ```

@@ -16,6 +16,7 @@ from composenet.geometry.rigid import is_rigid
 from composenet.geometry.transform import rigid_T
 from composenet.records import FloatArray
 from composenet.sequences.images import ImageSource
+from composenet.sequences.registration import ColorCamera
 
 _MAX_POSE_NUMBER = 1e9  # metres; larger ones overflow sooner or later
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -46,7 +47,8 @@ class Source:
 
     K: (3, 3) intrinsics of the depth images as they lie there, None where the recording does
     not say. intrinsics_file, poses_file: where they and the poses belong. depth_scale: depth units
-    a metre. gravity: (3,) direction of gravity in the recording's world, if it says. levelled: its
+    a metre. color_camera: of the colour images, where that is another camera and the recording says
+    so. gravity: (3,) direction of gravity in the recording's world, if it says. levelled: its
     world is z-up with the floor at z = 0 by construction.
     """
 
@@ -59,6 +61,7 @@ class Source:
     depth_scale: float
     gravity: FloatArray | None = None
     levelled: bool = False
+    color_camera: ColorCamera | None = None
     warnings: tuple[str, ...] = ()
 
     def without_poses(self) -> Source:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from composenet.synth.shape import Material, Shape
 
 _CLEAR_SHARE = 0.6
-"""Of all glass. The rest is seen as if it were painted."""
+"""Of the pieces of furniture with glass. The rest of it is seen as if it were painted."""
 _TOPS = {"table": (0.08, 0.08), "desk": (0.04, 0.06)}
 """Of how many the top is clear glass, of how many it is glossy."""
 _GLOSS = (1.55, 1.7)
