@@ -74,36 +74,35 @@ class LitView:
         self, depth_m: NDArray[np.float32], color: NDArray[np.uint8], camera: Camera
     ) -> None:
         known = np.asarray(color.any(axis=-1), np.float32)
-        image = (brightness(color), known, depth_m, camera)
-        while image[3].width > _WIDEST:
-            image = _halved(*image)
-        self.levels = [_level(*image)]
+        image = _Image(brightness(color), known, depth_m, camera)
+        while image.camera.width > _WIDEST:
+            image = image.halved()
+        self.levels = [_level(image)]
         while len(self.levels) < LEVELS:
-            image = _halved(*image)
-            self.levels.append(_level(*image))
+            image = image.halved()
+            self.levels.append(_level(image))
 
 
-_Image = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], Camera]
-"""Brightness, the share of it that is known, depth, and the camera."""
+@dataclass(frozen=True)
+class _Image:
+    """light: (H, W) float32 in 0..1. known: (H, W) float32, what share of it is known. depth_m:
+    (H, W) float32, 0 where unknown."""
+
+    light: NDArray[np.float32]
+    known: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    camera: Camera
+
+    def halved(self) -> _Image:
+        """Half as wide and high."""
+        depth_m = np.ascontiguousarray(subsampled(self.depth_m, 2))
+        camera = subsample_camera(self.camera, 2)
+        return _Image(halved(self.light), halved(self.known), depth_m, camera)
 
 
-def _halved(
-    light: NDArray[np.float32],
-    known: NDArray[np.float32],
-    depth_m: NDArray[np.float32],
-    camera: Camera,
-) -> _Image:
-    depth_m = np.ascontiguousarray(subsampled(depth_m, 2))
-    return halved(light), halved(known), depth_m, subsample_camera(camera, 2)
-
-
-def _level(
-    light: NDArray[np.float32],
-    known: NDArray[np.float32],
-    depth_m: NDArray[np.float32],
-    camera: Camera,
-) -> _Level:
-    depth_m = np.where(minimum_filter(known, 3) > _KNOWN, depth_m, 0)
+def _level(image: _Image) -> _Level:
+    light, camera = image.light, image.camera
+    depth_m = np.where(minimum_filter(image.known, 3) > _KNOWN, image.depth_m, 0)
     across, down = np.zeros_like(light), np.zeros_like(light)
     across[:, 1:-1] = (light[:, 2:] - light[:, :-2]) / 2
     down[1:-1] = (light[2:] - light[:-2]) / 2

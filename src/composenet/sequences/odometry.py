@@ -82,8 +82,9 @@ class Odometry:
         """`T_world_camera` (4, 4) of the next frame; None where too little of it agrees with what
         was seen before. The world is levelled as the first frame shows it: z up, the floor it
         sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving thing should not
-        be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, for what surfaces do not
-        tell. Raises SequenceError where they are not such images of the camera."""
+        be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, black where it is not
+        known, for what surfaces do not tell. Raises SequenceError where they are not such images
+        of the camera."""
         depth_m = usable_depth("odometry", depth_m, camera)
         points = back_project(depth_m, camera)[(depth_m > 0) & (depth_m < _FAR_M)]
         if len(points) < _MIN_POINTS:

@@ -130,8 +130,8 @@ def find_color_camera(
         return _color_camera(guess, camera, aspect)
 
     own, guesses = ColorCamera(camera.K, np.eye(4)), []
+    grid = [np.array([z, a, b, 0.0]) for z, a, b in product(_ZOOMS, _SHIFTS, _SHIFTS)]
     for half, other in (halves, halves[::-1]):
-        grid = [np.array([z, a, b, 0.0]) for z, a, b in product(_ZOOMS, _SHIFTS, _SHIFTS)]
         best = max(grid, key=lambda guess: _share(half, made(guess)))
         guesses.append(_refined(half, best, made))
         if not _peak(other, made(guesses[-1])) > _peak(other, own) + _BETTER:

@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -178,8 +179,8 @@ def _camera_of(topic: str) -> str:
 
 def _shared(topic: str, other: str) -> int:
     """How many parts of two topics' names are the same from their beginning."""
-    pairs = enumerate(zip(topic.split("/"), other.split("/"), strict=False))
-    return next((k for k, (a, b) in pairs if a != b), min(topic.count("/"), other.count("/")) + 1)
+    pairs = zip(topic.split("/"), other.split("/"), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def _listed(names: list[str]) -> str:
@@ -207,9 +208,8 @@ def _intrinsics(bag: Bag, topic: str, warnings: list[str]) -> NDArray[np.float64
     if not found:
         return None
     _, info_topic, info = max(found, key=lambda entry: entry[0])
-    K = np.array(info.k if hasattr(info, "k") else info.K, float).reshape(3, 3)
-    P = np.array(info.p if hasattr(info, "p") else info.P, float).reshape(3, 4)
-    lens = np.abs(np.array(info.d if hasattr(info, "d") else info.D, float))
+    K, P = _numbers(info, "k").reshape(3, 3), _numbers(info, "p").reshape(3, 4)
+    lens = np.abs(_numbers(info, "d"))
     if _RECTIFIED.search(topic.lower()) and P[0, 0] > 0:
         K = P[:, :3]
     elif lens.size and lens.max() > 1e-3:
@@ -221,6 +221,11 @@ def _intrinsics(bag: Bag, topic: str, warnings: list[str]) -> NDArray[np.float64
         return checked_K(bag.path, K)
     except SequenceError:
         return None
+
+
+def _numbers(info: Any, letter: str) -> NDArray[np.float64]:
+    """A field of a camera's message, whose name is a capital in ROS 1."""
+    return np.array(getattr(info, letter if hasattr(info, letter) else letter.upper()), float)
 
 
 def _depth_units_m(bag: Bag, topic: str) -> float:
