@@ -120,3 +120,15 @@ def test_points_are_those_of_their_pixels() -> None:
     )
     wall_z = apply_T(TRUE, level.points)[:, 2]
     np.testing.assert_allclose(wall_z, WALL_M, atol=1e-4)
+
+
+def test_what_two_images_say_is_what_all_their_pixels_say() -> None:
+    """Weighed by pixels, not by images; twice the same says the same."""
+    one, other = PAIR.equations(TRUE, 0), PAIR.equations(np.eye(4), 2)
+    both = one + other
+    assert both.pixels == one.pixels + other.pixels
+    np.testing.assert_allclose(both.H, one.H + other.H)
+    np.testing.assert_allclose(both.b, one.b + other.b)
+    total = one.misfit * one.pixels + other.misfit * other.pixels
+    assert both.misfit == pytest.approx(total / both.pixels)
+    assert (one + one).misfit == pytest.approx(one.misfit)

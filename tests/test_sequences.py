@@ -18,11 +18,15 @@ from scipy.spatial.transform import Rotation
 from composenet import config
 from composenet.errors import ConfigError, SequenceError
 from composenet.geometry.camera import pixel_rays
-from composenet.geometry.transform import inverse_T, make_T, quaternion_from_rotation
+from composenet.geometry.transform import (
+    inverse_T,
+    make_T,
+    quaternion_from_rotation,
+    rotation_z,
+)
 from composenet.records import Camera, Frame
 from composenet.sequences import SequenceOptions, checks, images, open_sequence, sens
 from composenet.sequences.source import in_order
-from composenet.sequences.tum import nearest
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "sequences"
 WIDTH, HEIGHT, COUNT = 24, 18, 4
@@ -90,7 +94,7 @@ def write_tum(root: Path, count: int = COUNT) -> Path:
         color.append(f"{t + 0.01:.6f} rgb/{t + 0.01:.6f}.png")
         w, x, y, z = quaternion_from_rotation(pose(i)[:3, :3])
         tx, ty, tz = pose(i)[:3, 3]
-        truth.append(f"{t - 0.004:.4f} {tx} {ty} {tz} {x} {y} {z} {w}")
+        truth.append(f"{t:.6f} {tx} {ty} {tz} {x} {y} {z} {w}")
     for name, lines in (("depth", depth), ("rgb", color), ("groundtruth", truth)):
         (root / f"{name}.txt").write_text("\n".join(lines) + "\n")
     save_text(root / "camera-intrinsics.txt", K)
@@ -476,14 +480,34 @@ def test_colour_at_other_times_is_told_of(tmp_path):
     sequence = open_sequence(root)
     assert sum(frame.color is None for frame in sequence) == COUNT - 1
     (line,) = sequence.warnings
-    assert line.startswith(f"{COUNT - 1} frames without colour: rgb.txt has none within 0.02 s")
+    what = "rgb.txt has none of their own within 0.02 s"
+    assert line.startswith(f"{COUNT - 1} frames without colour: {what}")
 
 
-def test_nearest_timestamp_table():
-    at = np.array([0.0, 1.0, 2.0, 3.0])
-    stream = np.array([3.019, 0.011, -0.01, 1.021])
-    assert nearest(at, stream).tolist() == [2, -1, -1, 0]
-    assert nearest(at, np.zeros(0)).tolist() == [-1] * 4
+def test_poses_of_other_times_are_told_from_those_around(tmp_path):
+    """A trajectory at 50 Hz beside images at 30; one broken line, and a gap."""
+    root = write_tum(tmp_path / "s", 8)
+    times = [float(line.split()[0]) for line in (root / "depth.txt").read_text().splitlines()[1:]]
+    lines = []
+    for t in times[0] + np.arange(-2, 14) / 50 + 0.007:
+        share = 30 * (t - times[0])
+        lines.append(f"{t:.6f} {0.3 * share - 1} 0 1 0 0 {np.sin(share / 20)} {np.cos(share / 20)}")
+    lines[3] = lines[3].replace(" 1 0 0 ", " nan 0 0 ")
+    (root / "groundtruth.txt").write_text("\n".join(lines) + "\n")
+    sequence = open_sequence(root)
+    frames = list(sequence)
+    assert [frame.index for frame in frames] == [0, 2, 3, 4, 5, 6, 7]
+    assert [why for _, why in sequence.skipped] == ["pose is not finite (NaN or inf)"]
+    for frame in frames:
+        T = inverse_T(sequence.T_level_source) @ frame.T_world_camera
+        true = make_T(rotation_z(frame.index / 10), [0.3 * frame.index - 1, 0, 1])
+        np.testing.assert_allclose(T, true, atol=1e-4)
+    (root / "groundtruth.txt").write_text("\n".join(lines[:3] + lines[12:]) + "\n")
+    sequence = open_sequence(root)
+    assert [frame.index for frame in sequence] == [0, 6, 7]
+    assert sequence.skipped[0][1] == (
+        "no pose: none within 0.02 s, nor two around it within 0.1 s of each other"
+    )
 
 
 def test_wide_images_are_subsampled_exactly(plain):

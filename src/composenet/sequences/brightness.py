@@ -65,6 +65,12 @@ class Equations:
     misfit: float
     pixels: int
 
+    def __add__(self, other: Equations) -> Equations:
+        """What the pixels of both say."""
+        pixels = self.pixels + other.pixels
+        misfits = self.misfit * self.pixels + other.misfit * other.pixels
+        return Equations(self.H + other.H, self.b + other.b, misfits / max(pixels, 1), pixels)
+
 
 class LitView:
     """An RGB-D image to be aligned with others. depth_m: (H, W) metres, 0 where unknown. color:

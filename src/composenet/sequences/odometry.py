@@ -12,11 +12,13 @@ against rims, and nearly none with the finest cells.
 
 Where there is colour, brightness tells what surfaces do not (`brightness`): the pose that surfaces
 give is bettered by both together, and so is one that brightness finds alone. Of the three the one
-is taken that leads near to the frame before, and looks like it.
+is taken that leads near to the frame before, and looks like it. What is bettered looks like an
+image of some time ago as well, so that errors from one image to the next do not add up.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
@@ -54,11 +56,30 @@ _SAME_M, _SAME_DEG = 0.01, 0.5
 _LOST_SHARE = 0.3
 _MAX_STEP_M, _MAX_TURN_DEG = 1.0, 45.0  # farther from one frame to the next no hand moves
 _BETTER_SHARE = 0.03  # a later guess must lead that much nearer
-_BRIGHTNESS = 3.0  # squared, of a pixel, against a squared metre of a partner; see `_bettered`
+_BRIGHTNESS = 8.0  # squared, of a pixel, against a squared metre of a partner; see `_bettered`
 _LIT_SPRING = 0.1  # as above, while brightness leads
 _LIKENESS = 0.2  # a share that e times the misfit weighs up
 _MISFITS = (0.005, 0.15)  # beyond these nothing is told
 _CLEARLY = 0.05  # so much more a pose by brightness alone must have
+_KEY_M, _KEY_DEG, _KEY_MISFIT = 0.5, 30.0, 0.06  # beyond these an image places no other
+
+
+@dataclass(frozen=True)
+class _Look:
+    """An image, and the camera's pose (4, 4) in the world."""
+
+    lit: LitView
+    T: NDArray[np.float64]
+
+    def equations(self, now: LitView, T: FloatArray, level: int) -> Equations:
+        """What it says of the pose of another image."""
+        return LitPair(self.lit, now).equations(inverse_T(self.T) @ T, level)
+
+    def shows(self, now: LitView, T: FloatArray) -> bool:
+        """Whether it is near enough to an image at that pose, and like it, to place the next."""
+        if not _alike(T, self.T, _KEY_M, _KEY_DEG):
+            return False
+        return LitPair(self.lit, now).misfit(inverse_T(self.T) @ T) < _KEY_MISFIT
 
 
 class Odometry:
@@ -75,6 +96,7 @@ class Odometry:
         self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
         self._before: cKDTree | None = None  # points of the last frame that was placed
         self._lit_before: LitView | None = None
+        self._key: _Look | None = None
 
     def __call__(
         self, depth_m: FloatArray, camera: Camera, color: NDArray[np.uint8] | None = None
@@ -113,6 +135,8 @@ class Odometry:
             cells.insert(cloud, self._T)
         self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
         self._lit_before = lit
+        if lit is not None and not (self._key and self._key.shows(lit, self._T)):
+            self._key = _Look(lit, self._T)
         return self._T.copy()
 
     def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
@@ -191,6 +215,8 @@ class Odometry:
                 lit = images.equations(inverse_T(self._T) @ T, level)
                 if at_T.num_inliers < _MIN_POINTS or not lit.pixels:
                     break
+                if self._key is not None and self._key.lit is not images.before:
+                    lit += self._key.equations(images.now, T, level)
                 step = _step(at_T, T, T_start, _LIT_SPRING, lit)
                 T = moved(T, step)
                 if np.abs(step).max() < _DONE:

@@ -3,7 +3,7 @@ what a RealSense camera's own software records.
 
 ```
 depth      sensor_msgs/Image (16UC1, mono16: millimetres, 32FC1: metres) or CompressedImage
-colour     likewise, rgb8, bgr8, rgba8, bgra8 or a JPEG or PNG; nearest in time, at most 0.02 s
+colour     likewise, rgb8, bgr8, rgba8, bgra8 or a JPEG or PNG; at most 0.02 s apart
 camera     sensor_msgs/CameraInfo of the depth image
 poses      tf: where the depth image's frame is in the world, interpolated
 ```
@@ -36,7 +36,7 @@ from composenet.sequences.source import (
     read_gravity,
     without_colour,
 )
-from composenet.sequences.tum import MAX_GAP_S, nearest
+from composenet.sequences.stamps import MAX_GAP_S, paired
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _MILLIMETRE = 1e-3
@@ -77,7 +77,8 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
     if color_topic:
         frames = _coloured(frames, images[color_topic])
         color_camera = _color_camera(bag, transforms, camera, color_topic)
-        warnings += without_colour(frames, f"{color_topic} has none within {MAX_GAP_S} s of them")
+        why = f"{color_topic} has none of their own within {MAX_GAP_S} s"
+        warnings += without_colour(frames, why)
     has_poses = transforms.is_world(camera)
     if has_poses:
         frames = [_with_pose(frame, transforms, camera) for frame in frames]
@@ -293,9 +294,9 @@ def _color_camera(
 
 
 def _coloured(frames: list[SourceFrame], colors: list[tuple[float, BagImage]]) -> list[SourceFrame]:
-    """The frames, each with the colour image nearest in time."""
+    """The frames, each with the colour image of its time."""
     at_s = np.array([frame.timestamp_s for frame in frames])
-    places = nearest(at_s, np.array([stamp_s for stamp_s, _ in colors]))
+    places = paired(at_s, np.array([stamp_s for stamp_s, _ in colors]))
     return [
         replace(frame, color=colors[place][1] if place >= 0 else None)
         for frame, place in zip(frames, places, strict=True)

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
-from composenet.geometry.transform import inverse_T, make_T
+from composenet.geometry.transform import inverse_T
+from composenet.sequences.stamps import Trajectory
 
 MAX_GAP_S = 1.0
-"""Between two transforms that differ and lie further apart in time nothing is told."""
+"""Between two transforms that differ and lie further apart in time nothing is told, but ..."""
 MAX_BEYOND_S = 0.05
-"""So long before the first and after the last that one holds."""
+"""... so long before and after each, that one holds."""
 _WORLD = re.compile(r"map|odom|world|earth|origin|init|mocap|vicon|local|global")
 _BODY = re.compile(
     r"(link|frame|footprint|body|base|imu|camera|trunk|torso|chassis|robot|stabilized|optical)$"
@@ -28,31 +28,19 @@ _BODY = re.compile(
 
 @dataclass(frozen=True)
 class _Edge:
-    """All that was told of a frame in its parent. times_s: (N,) rising; poses: (N, 7) x, y, z and
-    a quaternion x, y, z, w. fixed: it holds at all times."""
+    """All that was told of a frame in its parent. fixed: it holds at all times."""
 
     parent: str
-    times_s: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    told: Trajectory
     fixed: bool
 
     def at(self, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4) T_parent_child, None where none is near enough in time."""
-        if self.fixed:
-            return _matrix(self.poses[-1])
-        times = self.times_s
-        after = int(np.searchsorted(times, time_s))
-        if after < len(times) and times[after] == time_s:
-            return _matrix(self.poses[after])
-        if after in (0, len(times)):
-            end = min(after, len(times) - 1)
-            return _matrix(self.poses[end]) if abs(times[end] - time_s) <= MAX_BEYOND_S else None
-        pair = self.poses[after - 1 : after + 1]
-        if times[after] - times[after - 1] > MAX_GAP_S and not np.array_equal(*pair):
-            return None
-        share = (time_s - times[after - 1]) / (times[after] - times[after - 1])
-        turn = Slerp([0, 1], Rotation.from_quat(pair[:, 3:]))(share)
-        return make_T(turn.as_matrix(), (1 - share) * pair[0, :3] + share * pair[1, :3])
+        return self.told.at(self.told.times_s[-1] if self.fixed else time_s)
+
+    @property
+    def moves(self) -> bool:
+        return bool((self.told.poses != self.told.poses[0]).any())
 
 
 class Transforms:
@@ -76,7 +64,8 @@ class Transforms:
             table = np.array(rows[child, parent, fixed]).reshape(-1, 8)
             _, order = np.unique(table[:, 0], return_index=True)
             table = table[-1:] if fixed else table[order]
-            self._edges[child] = _Edge(parent, table[:, 0], table[:, 1:], fixed)
+            way = Trajectory(table[:, 0], table[:, 1:], MAX_GAP_S, MAX_BEYOND_S)
+            self._edges[child] = _Edge(parent, way, fixed)
 
     def root(self, frame: str) -> str:
         """The frame at the end of the way through all parents."""
@@ -84,9 +73,7 @@ class Transforms:
 
     def moves(self, frame: str) -> bool:
         """Whether anything between a frame and its root does."""
-        return any(
-            (self._edges[f].poses != self._edges[f].poses[0]).any() for f in self._way(frame)[:-1]
-        )
+        return any(self._edges[frame].moves for frame in self._way(frame)[:-1])
 
     def T_root_frame(self, frame: str, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4), None where a transform on the way is lacking at that time."""
@@ -143,7 +130,3 @@ def name(frame: str) -> str:
 def seconds(stamp: Any) -> float:
     """Of a time stamp."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-
-
-def _matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    return make_T(Rotation.from_quat(pose[3:]).as_matrix(), pose[:3])

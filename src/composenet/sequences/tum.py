@@ -6,11 +6,13 @@ rgb.txt                  `timestamp file`, optional
 groundtruth.txt          `timestamp tx ty tz qx qy qz qw`, camera to world, optional
 camera-intrinsics.txt    3x3, ours: the format has no place for them
 ```
-Streams are joined by nearest timestamp, at most 0.02 s apart.
+Depth and colour images are paired by time, at most 0.02 s apart. Poses are interpolated between two
+that are at most 0.1 s apart; else the nearest holds for 0.02 s.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,19 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
-from composenet.geometry.transform import make_T, rotation_from_quaternion
 from composenet.sequences.source import (
     Source,
     SourceFrame,
+    posed,
     read_gravity,
     read_intrinsics,
     read_text,
-    with_pose,
     without_colour,
 )
+from composenet.sequences.stamps import MAX_GAP_S, Trajectory, nearest, paired
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
-MAX_GAP_S = 0.02
+_POSES_APART_S = 0.1
 
 
 def matches(path: Path) -> bool:
@@ -45,7 +47,7 @@ def read_source(path: Path) -> Source:
         raise SequenceError(f"{path / 'depth.txt'}: no `timestamp file` line in it")
     color_s, color_files = _read_stream(path / "rgb.txt")
     pose_s, poses = _read_trajectory(path / "groundtruth.txt")
-    color_at, pose_at = nearest(depth_s, color_s), nearest(depth_s, pose_s)
+    color_at = paired(depth_s, color_s)
     frames = []
     for index, file in enumerate(depth_files):
         frame = SourceFrame(
@@ -56,9 +58,9 @@ def read_source(path: Path) -> Source:
             timestamp_s=float(depth_s[index]),
             problem=None if _is_file(path / file) else "no depth image",
         )
-        if len(poses) and not frame.problem:
-            frame = _posed(frame, poses[pose_at[index]] if pose_at[index] >= 0 else None)
         frames.append(frame)
+    if len(poses):
+        frames = _posed(frames, depth_s, pose_s, poses)
     return Source(
         path=path,
         frames=tuple(frames),
@@ -68,27 +70,10 @@ def read_source(path: Path) -> Source:
         poses_file="groundtruth.txt",
         depth_scale=5000.0,
         gravity=read_gravity(path),
-        warnings=without_colour(frames, f"rgb.txt has none within {MAX_GAP_S} s of them")
+        warnings=without_colour(frames, f"rgb.txt has none of their own within {MAX_GAP_S} s")
         if color_files
         else (),
     )
-
-
-def nearest(
-    at_s: NDArray[np.float64], stream_s: NDArray[np.float64], max_gap_s: float = MAX_GAP_S
-) -> NDArray[np.int64]:
-    """For each of the times (N,), the index of the stream's nearest, -1 beyond the gap.
-
-    The stream (M,) need not be sorted and may be empty.
-    """
-    if not len(stream_s):
-        return np.full(len(at_s), -1)
-    order = np.argsort(stream_s, kind="stable")
-    ordered = stream_s[order]
-    right = np.clip(np.searchsorted(ordered, at_s), 0, len(ordered) - 1)
-    left = np.maximum(right - 1, 0)
-    closer = np.where(np.abs(ordered[left] - at_s) <= np.abs(ordered[right] - at_s), left, right)
-    return np.where(np.abs(ordered[closer] - at_s) <= max_gap_s, order[closer], -1)
 
 
 def _read_stream(path: Path) -> tuple[NDArray[np.float64], list[str]]:
@@ -103,8 +88,8 @@ def _read_stream(path: Path) -> tuple[NDArray[np.float64], list[str]]:
 
 
 def _read_trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Timestamps (N,) and rows (N, 7) `tx ty tz qx qy qz qw`; lines of other shape dropped. Raises
-    SequenceError where all are."""
+    """Timestamps (N,), rising, and rows (N, 7) `tx ty tz qx qy qz qw`; lines of other shape, and of
+    a time that had one, dropped. Raises SequenceError where all are."""
     rows, lines = [], _lines(path)
     for words in lines:
         row = _floats(words)
@@ -116,19 +101,41 @@ def _read_trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float6
             f"numbers with spaces between (the first: {' '.join(lines[0])[:80]!r})"
         )
     table = np.array(rows).reshape(-1, 8)
-    return table[:, 0], table[:, 1:]
+    times_s, order = np.unique(table[:, 0], return_index=True)
+    return times_s, table[order, 1:]
 
 
-def _posed(frame: SourceFrame, row: NDArray[np.float64] | None) -> SourceFrame:
-    if row is None:
-        return replace(frame, problem=f"no pose within {MAX_GAP_S} s")
-    x, y, z, w = row[3:]
-    norm = float(np.sqrt(np.square(np.clip(row[3:], -2, 2)).sum()))
-    if not np.isfinite(row).all():
-        return replace(frame, problem="pose is not finite (NaN or inf)")
+def _posed(
+    frames: Sequence[SourceFrame],
+    depth_s: NDArray[np.float64],
+    pose_s: NDArray[np.float64],
+    poses: NDArray[np.float64],
+) -> list[SourceFrame]:
+    """The frames with their poses, or what is wrong with the one nearest in time."""
+    problems = [_problem(pose) for pose in poses]
+    good = np.array([not problem for problem in problems])
+    way = Trajectory(pose_s[good], poses[good], _POSES_APART_S, MAX_GAP_S) if good.any() else None
+    lacking = (
+        f"none within {MAX_GAP_S} s, nor two around it within {_POSES_APART_S} s of each other"
+    )
+    found = []
+    for frame, time_s, near in zip(frames, depth_s, nearest(depth_s, pose_s), strict=True):
+        if near >= 0 and problems[near] and not frame.problem:
+            found.append(replace(frame, problem=problems[near]))
+        else:
+            T = way.at(time_s) if way is not None else None
+            found.append(posed(frame, T, lacking))
+    return found
+
+
+def _problem(pose: NDArray[np.float64]) -> str | None:
+    """What is wrong with a line of a trajectory, if anything is."""
+    norm = float(np.sqrt(np.square(np.clip(pose[3:], -2, 2)).sum()))
+    if not np.isfinite(pose).all():
+        return "pose is not finite (NaN or inf)"
     if not 0.9 < norm < 1.1:
-        return replace(frame, problem="pose is not rigid (a unit quaternion expected)")
-    return with_pose(frame, make_T(rotation_from_quaternion([w, x, y, z]), row[:3]))
+        return "pose is not rigid (a unit quaternion expected)"
+    return None
 
 
 def _lines(path: Path) -> list[list[str]]:

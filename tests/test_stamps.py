@@ -1,0 +1,104 @@
+"""Streams with times of their own: pairs against the assignment that tries all, laws of both, and
+poses between poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from composenet.geometry.transform import apply_T, inverse_T, make_T
+from composenet.sequences.stamps import MAX_GAP_S, Trajectory, nearest, paired
+
+TIMES = st.lists(st.floats(0, 0.3), max_size=12).map(np.array)
+
+
+def test_nearest_timestamp_table() -> None:
+    at = np.array([0.0, 1.0, 2.0, 3.0])
+    stream = np.array([3.019, 0.011, -0.01, 1.021])
+    assert nearest(at, stream).tolist() == [2, -1, -1, 0]
+    assert nearest(at, np.zeros(0)).tolist() == [-1] * 4
+
+
+def cost_s(at_s: np.ndarray, stream_s: np.ndarray, places: np.ndarray) -> float:
+    """What lies between partners; a missing one counts as a second."""
+    pairs = zip(at_s, places, strict=True)
+    return float(sum(abs(stream_s[place] - t) if place >= 0 else 1.0 for t, place in pairs))
+
+
+@given(TIMES, TIMES)
+def test_pairs_are_those_of_least_cost(at_s: np.ndarray, stream_s: np.ndarray) -> None:
+    places = paired(at_s, stream_s)
+    taken = places[places >= 0]
+    assert places.shape == at_s.shape and len(set(taken)) == len(taken)
+    assert (np.abs(stream_s[taken] - at_s[places >= 0]) <= MAX_GAP_S).all()
+    apart_s = np.abs(np.subtract.outer(at_s, stream_s)).reshape(len(at_s), len(stream_s))
+    apart_s[apart_s > MAX_GAP_S] = 99.0
+    table = np.hstack([apart_s, np.full((len(at_s), len(at_s)), 1.0)])
+    least = table[linear_sum_assignment(table)].sum()
+    assert cost_s(at_s, stream_s, places) == pytest.approx(least, abs=1e-9)
+
+
+def test_cameras_that_take_turns_have_every_image_once() -> None:
+    """Colour half-way between depth, with a jitter of 2 ms."""
+    rng = np.random.default_rng(3)
+    depth_s = np.arange(300) / 30
+    color_s = rng.permutation(depth_s + 1 / 60 + rng.normal(0, 0.002, 300).clip(-0.003, 0.003))
+    assert np.unique(nearest(depth_s, color_s)).size < 260
+    assert np.unique(paired(depth_s, color_s)).size == 300
+
+
+def test_a_slow_stream_has_partners_for_some() -> None:
+    depth_s = np.arange(90) / 30
+    places = paired(depth_s, np.arange(45) / 15)
+    assert places[::2].tolist() == list(range(45)) and (places[1::2] == -1).all()
+
+
+def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
+    return np.hstack([rng.normal(size=(count, 3)), Rotation.random(count, rng=rng).as_quat()])
+
+
+def matrix(pose: np.ndarray) -> np.ndarray:
+    return make_T(Rotation.from_quat(pose[3:]).as_matrix(), pose[:3])
+
+
+@given(st.floats(0, 1), st.integers(0, 2**32 - 1))
+def test_between_two_poses_the_way_is_even(share: float, seed: int) -> None:
+    """Turned and moved by a fixed motion, the way is turned and moved with it; backwards it is the
+    same way."""
+    rng = np.random.default_rng(seed)
+    poses = random_poses(rng, 2)
+    T = Trajectory(np.array([1.0, 2.0]), poses, 1.0, 0.0).at(1 + share)
+    back = Trajectory(np.array([1.0, 2.0]), poses[::-1], 1.0, 0.0).at(2 - share)
+    assert T is not None and back is not None
+    np.testing.assert_allclose(T, back, atol=1e-6)
+    moved = matrix(random_poses(rng, 1)[0])
+    turned = Rotation.from_matrix([(moved @ matrix(pose))[:3, :3] for pose in poses]).as_quat()
+    other = np.hstack([apply_T(moved, poses[:, :3]), turned])
+    np.testing.assert_allclose(
+        Trajectory(np.array([1.0, 2.0]), other, 1.0, 0.0).at(1 + share), moved @ T, atol=1e-6
+    )
+    whole, first = (
+        Rotation.from_matrix((inverse_T(matrix(poses[0])) @ end)[:3, :3]).magnitude()
+        for end in (matrix(poses[1]), T)
+    )
+    assert first == pytest.approx(share * whole, abs=1e-5)
+
+
+def test_poses_hold_for_a_moment_where_there_is_a_gap() -> None:
+    times_s = np.array([0.0, 0.05, 0.5])
+    poses = random_poses(np.random.default_rng(4), 3)
+    way = Trajectory(times_s, poses, 0.1, 0.02)
+    for time_s, pose in zip(times_s, poses, strict=True):
+        assert np.array_equal(way.at(time_s), matrix(pose))
+    held = {-0.019: 0, 0.069: 1, 0.481: 2, 0.519: 2}
+    for time_s, place in held.items():
+        assert np.array_equal(way.at(time_s), matrix(poses[place]))
+    assert all(way.at(time_s) is None for time_s in (-0.021, 0.071, 0.3, 0.479, 0.521))
+    poses[2] = poses[1]  # what stays the same holds between
+    np.testing.assert_allclose(Trajectory(times_s, poses, 0.1, 0.02).at(0.3), matrix(poses[1]))
+    alone = Trajectory(times_s[:1], poses[:1], 0.1, 0.02)
+    assert alone.at(0.03) is None and np.array_equal(alone.at(-0.01), matrix(poses[0]))
