@@ -22,7 +22,7 @@ from composenet.errors import DataError, SequenceError
 from composenet.geometry.transform import angle_between_deg, inverse_T
 from composenet.metrics.report import RunInfo
 from composenet.records import FloatArray
-from composenet.sequences import Odometry, RecordedSequence, open_sequence
+from composenet.sequences import RecordedSequence, open_sequence
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class CameraErrors:
 
 def camera_errors(sequence: RecordedSequence) -> CameraErrors:
     """Follow the camera through a recording with poses."""
-    odometry, T_found_true = Odometry(), None
+    odometry, T_found_true = sequence.odometry(), None
     cm, degrees, seconds = [], [], []
     for frame in sequence:
         start = time.perf_counter()

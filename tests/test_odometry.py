@@ -152,6 +152,15 @@ def test_colour_helps_where_surfaces_say_little(number: int) -> None:
     assert_same(inverse_T(poses[0]) @ poses[-1], from_first(frames[-1], frames[0]), 0.05, 1)
 
 
+def test_rough_colour_says_less() -> None:
+    """The second of these cameras, where colour is said to lie on the depth to some pixels only."""
+    scene, odometry = generate_scene("val", 284), Odometry(rough_color=True)
+    frames = [scene.render(i).frame for i in range(30)]
+    poses = [odometry(frame.depth_m, frame.camera, frame.color) for frame in frames]
+    found, true = inverse_T(poses[0]) @ poses[-1], from_first(frames[-1], frames[0])
+    assert 0.08 < np.linalg.norm(found[:3, 3] - true[:3, 3]) < 0.4
+
+
 def test_a_frame_without_colour_is_followed_by_its_surfaces() -> None:
     odometry = Odometry()
     poses = []

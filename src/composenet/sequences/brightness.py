@@ -7,7 +7,7 @@ known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -70,6 +70,10 @@ class Equations:
         pixels = self.pixels + other.pixels
         misfits = self.misfit * self.pixels + other.misfit * other.pixels
         return Equations(self.H + other.H, self.b + other.b, misfits / max(pixels, 1), pixels)
+
+    def weighed(self, weight: float) -> Equations:
+        """Every pixel counts so often."""
+        return replace(self, H=weight * self.H, b=weight * self.b)
 
 
 class LitView:

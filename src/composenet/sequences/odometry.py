@@ -57,6 +57,7 @@ _LOST_SHARE = 0.3
 _MAX_STEP_M, _MAX_TURN_DEG = 1.0, 45.0  # farther from one frame to the next no hand moves
 _BETTER_SHARE = 0.03  # a later guess must lead that much nearer
 _BRIGHTNESS = 8.0  # squared, of a pixel, against a squared metre of a partner; see `_bettered`
+_ROUGH_BRIGHTNESS = 3.0  # the same where colour lies on the depth to some pixels only
 _LIT_SPRING = 0.1  # as above, while brightness leads
 _LIKENESS = 0.2  # a share that e times the misfit weighs up
 _MISFITS = (0.005, 0.15)  # beyond these nothing is told
@@ -89,8 +90,11 @@ class Odometry:
     >>> T_world_camera = odometry(depth_m, camera, color)
     """
 
-    def __init__(self) -> None:
-        """Raises ConfigError where small_gicp is not installed."""
+    def __init__(self, rough_color: bool = False) -> None:
+        """rough_color: colour lies on the depth images to some pixels only, so that it counts for
+        less, and nothing is compared with images of some time ago. Raises ConfigError where
+        small_gicp is not installed."""
+        self._rough_color = rough_color
         self._maps = [small_gicp().GaussianVoxelMap(cell_m) for cell_m in _CELLS_M]
         self._T: NDArray[np.float64] = np.eye(4)
         self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
@@ -135,9 +139,12 @@ class Odometry:
             cells.insert(cloud, self._T)
         self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
         self._lit_before = lit
-        if lit is not None and not (self._key and self._key.shows(lit, self._T)):
+        if lit is not None and not self._rough_color and not self._placed_by_key(lit):
             self._key = _Look(lit, self._T)
         return self._T.copy()
+
+    def _placed_by_key(self, lit: LitView) -> bool:
+        return self._key is not None and self._key.shows(lit, self._T)
 
     def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
         """The best guess's pose, if it is good enough."""
@@ -206,8 +213,8 @@ class Odometry:
         self, cloud: Any, images: LitPair, T_start: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """The pose after Gauss-Newton by the finest map and brightness, from small images on.
-        Brightness weighs little, so that it moves the camera where surfaces let it: it is less
-        exact than they are where colour is not registered well."""
+        Brightness weighs little, so that it moves the camera where surfaces let it."""
+        weight = _ROUGH_BRIGHTNESS if self._rough_color else _BRIGHTNESS
         T = T_start
         for level in reversed(range(LEVELS)):
             for _ in range(_ITERATIONS):
@@ -217,6 +224,7 @@ class Odometry:
                     break
                 if self._key is not None and self._key.lit is not images.before:
                     lit += self._key.equations(images.now, T, level)
+                lit = lit.weighed(weight * at_T.num_inliers / lit.pixels)
                 step = _step(at_T, T, T_start, _LIT_SPRING, lit)
                 T = moved(T, step)
                 if np.abs(step).max() < _DONE:
@@ -258,13 +266,12 @@ def _step(
 ) -> NDArray[np.float64]:
     """(6,) rotation vector and translation, in the camera's axes, that best fits the surfaces, the
     spring and brightness. at_T: small_gicp's normal equations at the pose T; lit: those of
-    brightness."""
+    brightness, weighed against them."""
     stiffness = spring * at_T.num_inliers
     H, b = at_T.H.copy(), -at_T.b
     if lit is not None:
-        weight = _BRIGHTNESS * at_T.num_inliers / lit.pixels
-        H += weight * lit.H
-        b -= weight * lit.b
+        H += lit.H
+        b -= lit.b
     H[3:, 3:] += stiffness * np.eye(3)
     b[3:] += stiffness * T[:3, :3].T @ (T_guess[:3, 3] - T[:3, 3])
     return np.asarray(np.linalg.lstsq(H, b, rcond=None)[0])

@@ -133,6 +133,12 @@ class RecordedSequence:
         if not found:
             raise self._nothing_left()
 
+    def odometry(self) -> Odometry:
+        """What finds its camera's way, knowing how well colour lies on the depth images. Raises
+        ConfigError where its library is not installed."""
+        found_by_edges = self._color_camera is not None and self._source.color_camera is None
+        return Odometry(rough_color=found_by_edges)
+
     @property
     def skipped(self) -> list[tuple[str, str]]:
         """(frame name, reason) of every frame left out so far, in order."""
@@ -185,7 +191,7 @@ class RecordedSequence:
     def _follow_camera(self, watch: Watch) -> None:
         """Give every frame a pose by odometry; the frames where it loses the camera are skipped."""
         checks.check_depth(self._source.path, self._read_samples(), self._depth_scale)
-        odometry, posed = Odometry(), []
+        odometry, posed = self.odometry(), []
         for frame in watch(self._frames):
             try:
                 depth_m = self._read_depth_m(frame)
