@@ -250,6 +250,9 @@ def test_odometry_of_a_recording_sees_registered_colour(
     given: list[np.ndarray | None] = []
 
     class Follows:
+        def __init__(self, rough_color: bool) -> None:
+            assert rough_color
+
         def __call__(self, depth_m: object, camera: object, color: np.ndarray | None) -> FloatArray:
             given.append(color)
             return np.eye(4)
