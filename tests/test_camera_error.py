@@ -45,7 +45,8 @@ def wrong_by(*metres: float | None):
 
 
 def test_errors_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_error, "Odometry", wrong_by(0.0, 0.02, None, 0.06))
+    follower = wrong_by(0.0, 0.02, None, 0.06)
+    monkeypatch.setattr(Walk, "odometry", lambda _: follower(), raising=False)
     errors = camera_error.camera_errors(Walk())  # type: ignore[arg-type]
     np.testing.assert_allclose(errors.cm, [0, 2, np.inf, 6], atol=1e-9)
     np.testing.assert_allclose(errors.degrees, [0, 0, np.inf, 0], atol=1e-5)
@@ -55,19 +56,22 @@ def test_errors_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_first_frame_found_is_where_errors_begin(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_error, "Odometry", wrong_by(None, 0.5, 0.5, 0.51))
+    follower = wrong_by(None, 0.5, 0.5, 0.51)
+    monkeypatch.setattr(Walk, "odometry", lambda _: follower(), raising=False)
     errors = camera_error.camera_errors(Walk())  # type: ignore[arg-type]
     np.testing.assert_allclose(errors.cm, [np.inf, 0, 0, 1], atol=1e-9)
 
 
 def test_a_camera_that_stays_lost_ends_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_error, "Odometry", wrong_by(0.0, 0.02, 0.02, None))
+    follower = wrong_by(0.0, 0.02, 0.02, None)
+    monkeypatch.setattr(Walk, "odometry", lambda _: follower(), raising=False)
     row = camera_error.camera_errors(Walk()).row  # type: ignore[arg-type]
     assert (row["error_cm_max"], row["error_cm_end"]) == (2, None)
 
 
 def test_no_camera_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_error, "Odometry", wrong_by(None, None, None, None))
+    follower = wrong_by(None, None, None, None)
+    monkeypatch.setattr(Walk, "odometry", lambda _: follower(), raising=False)
     with pytest.raises(DataError, match="walk"):
         camera_error.camera_errors(Walk())  # type: ignore[arg-type]
 
