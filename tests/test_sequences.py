@@ -480,7 +480,7 @@ def test_colour_at_other_times_is_told_of(tmp_path):
     sequence = open_sequence(root)
     assert sum(frame.color is None for frame in sequence) == COUNT - 1
     (line,) = sequence.warnings
-    what = "rgb.txt has none of their own within 0.02 s"
+    what = "rgb.txt has none within 0.02 s"
     assert line.startswith(f"{COUNT - 1} frames without colour: {what}")
 
 
@@ -506,7 +506,7 @@ def test_poses_of_other_times_are_told_from_those_around(tmp_path):
     sequence = open_sequence(root)
     assert [frame.index for frame in sequence] == [0, 6, 7]
     assert sequence.skipped[0][1] == (
-        "no pose: none within 0.02 s, nor two around it within 0.1 s of each other"
+        "no pose: none within 0.02 s, nor two around it within 0.15 s of each other"
     )
 
 

@@ -76,11 +76,18 @@ class _Look:
         """What it says of the pose of another image."""
         return LitPair(self.lit, now).equations(inverse_T(self.T) @ T, level)
 
-    def shows(self, now: LitView, T: FloatArray) -> bool:
-        """Whether it is near enough to an image at that pose, and like it, to place the next."""
-        if not _alike(T, self.T, _KEY_M, _KEY_DEG):
-            return False
-        return LitPair(self.lit, now).misfit(inverse_T(self.T) @ T) < _KEY_MISFIT
+    def misfit(self, now: LitView, T: FloatArray) -> float:
+        """How unlike it another image is at that pose; infinite with too little in common."""
+        return LitPair(self.lit, now).misfit(inverse_T(self.T) @ T)
+
+    def guessed(self, now: LitView, T_guess: FloatArray) -> NDArray[np.float64]:
+        """The pose of another image by brightness alone, from a guess."""
+        return self.T @ LitPair(self.lit, now).guessed(inverse_T(self.T) @ T_guess)
+
+    def shows(self, other: _Look) -> bool:
+        """Whether it is near enough to another image, and like it, to place the next."""
+        near = _alike(other.T, self.T, _KEY_M, _KEY_DEG)
+        return near and self.misfit(other.lit, other.T) < _KEY_MISFIT
 
 
 class Odometry:
@@ -99,8 +106,8 @@ class Odometry:
         self._T: NDArray[np.float64] = np.eye(4)
         self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
         self._before: cKDTree | None = None  # points of the last frame that was placed
-        self._lit_before: LitView | None = None
-        self._key: _Look | None = None
+        self._lit: _Look | None = None  # the last image with colour
+        self._key: _Look | None = None  # one of some time ago
 
     def __call__(
         self, depth_m: FloatArray, camera: Camera, color: NDArray[np.uint8] | None = None
@@ -129,8 +136,8 @@ class Odometry:
             _, self._T = CameraLeveler().level(surface_of(depth_m, camera))
         else:
             T = self._aligned(cloud, points)
-            if lit is not None and self._lit_before is not None:
-                T = self._aligned_in_light(cloud, points, LitPair(self._lit_before, lit), T)
+            if lit is not None and self._lit is not None:
+                T = self._aligned_in_light(cloud, points, lit, self._lit, T)
             self._motion = np.eye(4) if T is None else inverse_T(self._T) @ T
             if T is None:
                 return None
@@ -138,13 +145,11 @@ class Odometry:
         for cells in self._maps:
             cells.insert(cloud, self._T)
         self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
-        self._lit_before = lit
-        if lit is not None and not self._rough_color and not self._placed_by_key(lit):
-            self._key = _Look(lit, self._T)
+        if lit is not None:
+            self._lit = _Look(lit, self._T)
+            if not self._rough_color and (self._key is None or not self._key.shows(self._lit)):
+                self._key = self._lit
         return self._T.copy()
-
-    def _placed_by_key(self, lit: LitView) -> bool:
-        return self._key is not None and self._key.shows(lit, self._T)
 
     def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
         """The best guess's pose, if it is good enough."""
@@ -179,38 +184,36 @@ class Odometry:
         self,
         cloud: Any,
         points: FloatArray,
-        images: LitPair,
+        lit: LitView,
+        last: _Look,
         by_surface: NDArray[np.float64] | None,
     ) -> NDArray[np.float64] | None:
         """The best of the pose by surfaces, if there is one, that pose bettered by brightness, and
-        one that was sought by brightness first."""
-        T_before_world = inverse_T(self._T)
-
-        def unlike(T: FloatArray) -> float:
-            return images.misfit(T_before_world @ T)
+        one that was sought by brightness first. last: the last image with colour, as that of a slow
+        camera several frames ago."""
 
         def worth(T: FloatArray) -> float:
             near = self._near_share(apply_T(T, points))
             if near < _LOST_SHARE or not self._within_reach(T):
                 return -np.inf
-            return near - _LIKENESS * float(np.log(np.clip(unlike(T), *_MISFITS)))
+            return near - _LIKENESS * float(np.log(np.clip(last.misfit(lit, T), *_MISFITS)))
 
         best, most = by_surface, -np.inf
         if by_surface is not None:
-            both = (by_surface, self._bettered(cloud, images, by_surface))
+            both = (by_surface, self._bettered(cloud, lit, last, by_surface))
             most, best = max(((worth(T), T) for T in both), key=itemgetter(0))
         sure = best is not None and self._near_share(apply_T(best, points)) > _GOOD_SHARE
         guesses = self._carried_on() if sure else [*self._carried_on(), *self._turned()]
-        by_light = [self._T @ images.guessed(T_before_world @ guess) for guess in guesses]
-        least, likest = min(((unlike(T), T) for T in by_light), key=itemgetter(0))
+        by_light = [last.guessed(lit, guess) for guess in guesses]
+        least, likest = min(((last.misfit(lit, T), T) for T in by_light), key=itemgetter(0))
         if np.isfinite(least):
-            bettered = self._bettered(cloud, images, likest)
+            bettered = self._bettered(cloud, lit, last, likest)
             if worth(bettered) > most + _CLEARLY:
                 best = bettered
         return best
 
     def _bettered(
-        self, cloud: Any, images: LitPair, T_start: NDArray[np.float64]
+        self, cloud: Any, lit: LitView, last: _Look, T_start: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """The pose after Gauss-Newton by the finest map and brightness, from small images on.
         Brightness weighs little, so that it moves the camera where surfaces let it."""
@@ -219,13 +222,13 @@ class Odometry:
         for level in reversed(range(LEVELS)):
             for _ in range(_ITERATIONS):
                 at_T = self._equations(-1, cloud, T)
-                lit = images.equations(inverse_T(self._T) @ T, level)
-                if at_T.num_inliers < _MIN_POINTS or not lit.pixels:
+                says = last.equations(lit, T, level)
+                if at_T.num_inliers < _MIN_POINTS or not says.pixels:
                     break
-                if self._key is not None and self._key.lit is not images.before:
-                    lit += self._key.equations(images.now, T, level)
-                lit = lit.weighed(weight * at_T.num_inliers / lit.pixels)
-                step = _step(at_T, T, T_start, _LIT_SPRING, lit)
+                if self._key is not None and self._key is not last:
+                    says += self._key.equations(lit, T, level)
+                says = says.weighed(weight * at_T.num_inliers / says.pixels)
+                step = _step(at_T, T, T_start, _LIT_SPRING, says)
                 T = moved(T, step)
                 if np.abs(step).max() < _DONE:
                     break

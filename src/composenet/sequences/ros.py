@@ -36,7 +36,7 @@ from composenet.sequences.source import (
     read_gravity,
     without_colour,
 )
-from composenet.sequences.stamps import MAX_GAP_S, paired
+from composenet.sequences.stamps import MAX_GAP_S, paired_or_nearest
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _MILLIMETRE = 1e-3
@@ -77,8 +77,7 @@ def read_source(path: Path, depth_topic: str | None = None) -> Source:
     if color_topic:
         frames = _coloured(frames, images[color_topic])
         color_camera = _color_camera(bag, transforms, camera, color_topic)
-        why = f"{color_topic} has none of their own within {MAX_GAP_S} s"
-        warnings += without_colour(frames, why)
+        warnings += without_colour(frames, f"{color_topic} has none within {MAX_GAP_S} s of them")
     has_poses = transforms.is_world(camera)
     if has_poses:
         frames = [_with_pose(frame, transforms, camera) for frame in frames]
@@ -296,7 +295,7 @@ def _color_camera(
 def _coloured(frames: list[SourceFrame], colors: list[tuple[float, BagImage]]) -> list[SourceFrame]:
     """The frames, each with the colour image of its time."""
     at_s = np.array([frame.timestamp_s for frame in frames])
-    places = paired(at_s, np.array([stamp_s for stamp_s, _ in colors]))
+    places = paired_or_nearest(at_s, np.array([stamp_s for stamp_s, _ in colors]))
     return [
         replace(frame, color=colors[place][1] if place >= 0 else None)
         for frame, place in zip(frames, places, strict=True)

@@ -7,7 +7,7 @@ groundtruth.txt          `timestamp tx ty tz qx qy qz qw`, camera to world, opti
 camera-intrinsics.txt    3x3, ours: the format has no place for them
 ```
 Depth and colour images are paired by time, at most 0.02 s apart. Poses are interpolated between two
-that are at most 0.1 s apart; else the nearest holds for 0.02 s.
+that are at most 0.15 s apart, or equal; else the nearest holds for 0.02 s.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from composenet.sequences.source import (
     read_text,
     without_colour,
 )
-from composenet.sequences.stamps import MAX_GAP_S, Trajectory, nearest, paired
+from composenet.sequences.stamps import MAX_GAP_S, Trajectory, nearest, paired_or_nearest
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
-_POSES_APART_S = 0.1
+_POSES_APART_S = 0.15
 
 
 def matches(path: Path) -> bool:
@@ -47,7 +47,7 @@ def read_source(path: Path) -> Source:
         raise SequenceError(f"{path / 'depth.txt'}: no `timestamp file` line in it")
     color_s, color_files = _read_stream(path / "rgb.txt")
     pose_s, poses = _read_trajectory(path / "groundtruth.txt")
-    color_at = paired(depth_s, color_s)
+    color_at = paired_or_nearest(depth_s, color_s)
     frames = []
     for index, file in enumerate(depth_files):
         frame = SourceFrame(
@@ -70,7 +70,7 @@ def read_source(path: Path) -> Source:
         poses_file="groundtruth.txt",
         depth_scale=5000.0,
         gravity=read_gravity(path),
-        warnings=without_colour(frames, f"rgb.txt has none of their own within {MAX_GAP_S} s")
+        warnings=without_colour(frames, f"rgb.txt has none within {MAX_GAP_S} s of them")
         if color_files
         else (),
     )
@@ -113,8 +113,8 @@ def _posed(
 ) -> list[SourceFrame]:
     """The frames with their poses, or what is wrong with the one nearest in time."""
     problems = [_problem(pose) for pose in poses]
-    good = np.array([not problem for problem in problems])
-    way = Trajectory(pose_s[good], poses[good], _POSES_APART_S, MAX_GAP_S) if good.any() else None
+    known = np.where([[problem is None] for problem in problems], poses, np.nan)
+    way = Trajectory(pose_s, known, _POSES_APART_S, MAX_GAP_S)
     lacking = (
         f"none within {MAX_GAP_S} s, nor two around it within {_POSES_APART_S} s of each other"
     )
@@ -123,8 +123,7 @@ def _posed(
         if near >= 0 and problems[near] and not frame.problem:
             found.append(replace(frame, problem=problems[near]))
         else:
-            T = way.at(time_s) if way is not None else None
-            found.append(posed(frame, T, lacking))
+            found.append(posed(frame, way.at(time_s), lacking))
     return found
 
 
