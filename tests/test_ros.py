@@ -1,7 +1,9 @@
 """ROS recordings are read as the same images in a plain folder are, and say what they lack."""
 
 import builtins
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -513,13 +515,22 @@ def test_a_frame_hangs_where_it_was_told_of_last() -> None:
     assert tree.root("c") == "map" and np.allclose(tree.T_root_frame("c", 1.0), B)
 
 
-def test_messages_are_read_by_threads_in_turns(tmp_path: Path) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
-    bag = Bag(robot("bag").write(tmp_path))
-    with ThreadPoolExecutor(4) as pool:
-        read = list(pool.map(lambda _: len(list(bag.messages([DEPTH, COLOR]))), range(16)))
-    assert read == [2 * COUNT] * 16
+@pytest.mark.parametrize("kind", KINDS)
+def test_images_are_read_by_threads_in_turns(kind: str, tmp_path: Path) -> None:
+    sequence = open_sequence(robot(kind).write(tmp_path))
+    often = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            read = list(pool.map(lambda _: list(sequence), range(16)))
+    finally:
+        sys.setswitchinterval(often)
+    assert not sequence.skipped
+    for frames in read:
+        assert [frame.index for frame in frames] == list(range(COUNT))
+    for frame in (frame for frames in read for frame in frames):
+        assert np.array_equal(np.round(frame.depth_m * 1000), depth_mm(frame.index))
+        assert frame.color is not None and np.array_equal(frame.color, color(frame.index))
 
 
 def test_a_broken_image_within_does_not_end_the_rest(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[tuple[str, int, Any]]:
         """(topic, time of recording, message) in the order of these times, from start_ns until
-        before stop_ns, for one reader at a time. Raises SequenceError from the first that cannot
+        before stop_ns, for one thread at a time. Raises SequenceError from the first that cannot
         be read on."""
         chosen = [c for c in self._reader.connections if c.topic in topics]
         if not chosen:
