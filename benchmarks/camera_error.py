@@ -3,7 +3,8 @@
 python benchmarks/camera_error.py RECORDINGS... [--out benchmarks/results/odometry.json]
 
 Each is a recording, or a folder of recordings. The error of a frame is the distance between the
-found and the true camera, and the angle between them, both told from the first frame's camera.
+found and the true camera, and the angle between them, both told from the first frame's camera: of
+the poses as later frames have corrected them, and, `at once`, as each was found.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ from composenet.sequences import RecordedSequence, open_sequence
 @dataclass(frozen=True)
 class CameraErrors:
     """Of one recording: (N,) of all frames, in order. cm, degrees: infinite where the camera was
-    lost."""
+    lost; cm_at_once: before later frames corrected it."""
 
     name: str
     cm: FloatArray
     degrees: FloatArray
+    cm_at_once: FloatArray
     seconds: FloatArray
 
     @property
@@ -57,24 +59,33 @@ class CameraErrors:
 
 def camera_errors(sequence: RecordedSequence) -> CameraErrors:
     """Follow the camera through a recording with poses."""
-    odometry, T_found_true = sequence.odometry(), None
-    cm, degrees, seconds = [], [], []
+    odometry, true, at_once, seconds = sequence.odometry(), [], [], []
     for frame in sequence:
         start = time.perf_counter()
-        found = odometry(frame.depth_m, frame.camera, frame.color)
+        at_once.append(odometry(frame.depth_m, frame.camera, frame.color))
         seconds.append(time.perf_counter() - start)
-        if found is None:
-            cm.append(np.inf)
-            degrees.append(np.inf)
+        true.append(frame.T_world_camera)
+    if all(T is None for T in at_once):
+        raise DataError(f"{sequence.name}: odometry found no camera at all in it")
+    cm, degrees = _errors(odometry.way(), true)
+    return CameraErrors(sequence.name, cm, degrees, _errors(at_once, true)[0], np.array(seconds))
+
+
+def _errors(
+    found: list[NDArray[np.float64] | None], true: list[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Centimetres and degrees, from the first frame that was found."""
+    cm, degrees = np.full(len(true), np.inf), np.full(len(true), np.inf)
+    T_found_true = None
+    for i, (T, T_true) in enumerate(zip(found, true, strict=True)):
+        if T is None:
             continue
         if T_found_true is None:
-            T_found_true = found @ inverse_T(frame.T_world_camera)
-        true = T_found_true @ frame.T_world_camera
-        cm.append(100 * np.linalg.norm(found[:3, 3] - true[:3, 3]))
-        degrees.append(angle_between_deg(found[:3, :3], true[:3, :3]))
-    if T_found_true is None:
-        raise DataError(f"{sequence.name}: odometry found no camera at all in it")
-    return CameraErrors(sequence.name, np.array(cm), np.array(degrees), np.array(seconds))
+            T_found_true = T @ inverse_T(T_true)
+        expected = T_found_true @ T_true
+        cm[i] = 100 * np.linalg.norm(T[:3, 3] - expected[:3, 3])
+        degrees[i] = angle_between_deg(T[:3, :3], expected[:3, :3])
+    return cm, degrees
 
 
 def opened(path: Path) -> list[RecordedSequence]:
@@ -101,6 +112,7 @@ def main(
         found.append(camera_errors(sequence))
         print(*(f"{name} {value} " for name, value in found[-1].row.items()), flush=True)
     cm = np.concatenate([one.cm for one in found])
+    at_once = np.concatenate([one.cm_at_once for one in found])
     ends = np.array([one.cm[-1] for one in found])
     degrees, there = np.concatenate([one.degrees for one in found]), np.isfinite(cm)
     overall = {
@@ -111,6 +123,8 @@ def main(
         "error_deg_median": round(float(np.median(degrees[there])), 2),
         "frames_within_5_cm": round(100 * float((cm < 5).mean()), 1),
         "frames_within_25_cm": round(100 * float((cm < 25).mean()), 1),
+        "frames_within_5_cm_at_once": round(100 * float((at_once < 5).mean()), 1),
+        "frames_within_25_cm_at_once": round(100 * float((at_once < 25).mean()), 1),
         "ends_within_5_cm": round(100 * float((ends < 5).mean()), 1),
         "ends_within_25_cm": round(100 * float((ends < 25).mean()), 1),
         "seconds_per_frame_median": round(

@@ -27,8 +27,9 @@ class Walk(list[Frame]):
         super().__init__(Frame(i, depth_m, CAMERA, T) for i, T in enumerate(poses))
 
 
-def wrong_by(*metres: float | None):
-    """Odometry that is off along x by so much, frame after frame; None: lost."""
+def wrong_by(*metres: float | None, at_once: float = 0.0):
+    """Odometry that is off along x by so much, frame after frame; None: lost. at_once: so much
+    more before later frames correct it."""
 
     class Wrong:
         def __init__(self) -> None:
@@ -37,18 +38,27 @@ def wrong_by(*metres: float | None):
         def __call__(
             self, depth_m: np.ndarray, camera: Camera, color: np.ndarray | None
         ) -> np.ndarray | None:
-            off, x = metres[self._count], 0.1 * self._count
             self._count += 1
-            return None if off is None else OWN_WORLD @ make_T(np.eye(3), [x + off, 0, 0])
+            return self._pose(self._count - 1, at_once if self._count > 1 else 0.0)
+
+        def way(self) -> list[np.ndarray | None]:
+            return [self._pose(i, 0.0) for i in range(self._count)]
+
+        def _pose(self, i: int, more: float) -> np.ndarray | None:
+            off = metres[i]
+            if off is None:
+                return None
+            return OWN_WORLD @ make_T(np.eye(3), [0.1 * i + off + more, 0, 0])
 
     return Wrong
 
 
 def test_errors_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    follower = wrong_by(0.0, 0.02, None, 0.06)
+    follower = wrong_by(0.0, 0.02, None, 0.06, at_once=0.01)
     monkeypatch.setattr(Walk, "odometry", lambda _: follower(), raising=False)
     errors = camera_error.camera_errors(Walk())  # type: ignore[arg-type]
     np.testing.assert_allclose(errors.cm, [0, 2, np.inf, 6], atol=1e-9)
+    np.testing.assert_allclose(errors.cm_at_once, [0, 3, np.inf, 7], atol=1e-9)
     np.testing.assert_allclose(errors.degrees, [0, 0, np.inf, 0], atol=1e-5)
     row = errors.row
     assert (row["frames"], row["lost"]) == (4, 1)

@@ -1,97 +1,55 @@
 """The camera's way from its images, for recordings without poses.
 
-Each frame is aligned with a map of the hundred before it: generalised ICP against the Gaussians of
-its cells (VGICP, Koide et al., ICRA 2021; the normal equations are small_gicp's, an optional
-extra), from coarse cells to fine. It begins from the last motion, from rest and from turns to
-either side, for hands turn a camera fast; the guess that leads nearest to the frame before is
-taken. What moves is outvoted by what rests, unless it fills the image.
-
-Along a wall or the floor the surfaces say nothing, but the rims of half-filled cells do, and they
-lie. So a guess holds its place by a spring: weak against surfaces that face that way, strong
-against rims, and nearly none with the finest cells.
-
-Where there is colour, brightness tells what surfaces do not (`brightness`): the pose that surfaces
-give is bettered by both together, and so is one that brightness finds alone. Of the three the one
-is taken that leads near to the frame before, and looks like it. What is bettered looks like an
-image of some time ago as well, so that errors from one image to the next do not add up.
+Each frame is placed among those before it (`surroundings`). Errors add up, a frame slips now and
+then, and a camera that was covered is lost. So frames that differ are kept (`keyframes`), and where
+the present one looks like one of long ago it is placed by that, too. If two frames in a row agree
+that the camera is elsewhere, it goes on from there, and the way since then is bent to end there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from composenet.geometry.camera import back_project
-from composenet.geometry.transform import (
-    angle_between_deg,
-    apply_T,
-    inverse_T,
-    make_T,
-    rotation_z,
-)
-from composenet.gicp import small_gicp
+from composenet.geometry.transform import inverse_T
 from composenet.records import Camera, FloatArray, usable_color, usable_depth
-from composenet.sequences.brightness import LEVELS, Equations, LitPair, LitView, moved
+from composenet.sequences.keyframes import Keyframe, Way, small_image
 from composenet.sequences.leveling import CameraLeveler, surface_of
+from composenet.sequences.surroundings import Shot, Surroundings, alike
 
-_CELLS_M = (0.4, 0.2, 0.1)
-_SPRINGS = (20.0, 5.0, 0.05)  # by cell size, 1/m^2 a partner; along its normal a surface has 500
-_REACH_CELLS = 3.0  # a point this far from a cell's Gaussian has no partner
-_ITERATIONS = 10
-_DONE = 0.001  # a step of fewer metres and radians is the last one
-_SPACING_M = 0.05  # between the points of a frame that are aligned
-_NEIGHBOURS = 12
-_FAR_M = 6.0  # depth beyond this is too noisy to align
-_MIN_POINTS = 100
-_TURNS_DEG = (8.0, -8.0, 16.0, -16.0, 24.0, -24.0)  # about the vertical
-_NEAR_M = 0.06
-_GOOD_SHARE = 0.75  # of a frame's points near the frame before: no other guess is tried
-_FAIR_SHARE = 0.6  # likewise where two guesses lead to the same pose
-_SAME_M, _SAME_DEG = 0.01, 0.5
-_LOST_SHARE = 0.3
-_MAX_STEP_M, _MAX_TURN_DEG = 1.0, 45.0  # farther from one frame to the next no hand moves
-_BETTER_SHARE = 0.03  # a later guess must lead that much nearer
-_BRIGHTNESS = 8.0  # squared, of a pixel, against a squared metre of a partner; see `_bettered`
-_ROUGH_BRIGHTNESS = 3.0  # the same where colour lies on the depth to some pixels only
-_LIT_SPRING = 0.1  # as above, while brightness leads
-_LIKENESS = 0.2  # a share that e times the misfit weighs up
-_MISFITS = (0.005, 0.15)  # beyond these nothing is told
-_CLEARLY = 0.05  # so much more a pose by brightness alone must have
-_KEY_M, _KEY_DEG, _KEY_MISFIT = 0.5, 30.0, 0.06  # beyond these an image places no other
+_EVERY = 3  # frames: so often one is compared with a keyframe
+_UNSEEN = 10  # frames: one that was seen since says nothing new
+_LIKE = 4  # keyframes that the frame is most like
+_SAME_M, _SAME_DEG = 0.03, 1.5  # nearer poses are the same
+_AGREE_M, _AGREE_DEG = 0.05, 2.0  # likewise of two frames' corrections
 
 
 @dataclass(frozen=True)
-class _Look:
-    """An image, and the camera's pose (4, 4) in the world."""
+class _Return:
+    """A place where the camera seems to be again. surroundings: of `key`, and the frame. T_there,
+    T_here: (4, 4), the frame's pose by them, and as it was found, None where it was lost."""
 
-    lit: LitView
-    T: NDArray[np.float64]
+    key: Keyframe
+    surroundings: Surroundings
+    T_there: NDArray[np.float64]
+    T_here: NDArray[np.float64] | None
 
-    def equations(self, now: LitView, T: FloatArray, level: int) -> Equations:
-        """What it says of the pose of another image."""
-        return LitPair(self.lit, now).equations(inverse_T(self.T) @ T, level)
-
-    def misfit(self, now: LitView, T: FloatArray) -> float:
-        """How unlike it another image is at that pose; infinite with too little in common."""
-        return LitPair(self.lit, now).misfit(inverse_T(self.T) @ T)
-
-    def guessed(self, now: LitView, T_guess: FloatArray) -> NDArray[np.float64]:
-        """The pose of another image by brightness alone, from a guess."""
-        return self.T @ LitPair(self.lit, now).guessed(inverse_T(self.T) @ T_guess)
-
-    def shows(self, other: _Look) -> bool:
-        """Whether it is near enough to another image, and like it, to place the next."""
-        near = _alike(other.T, self.T, _KEY_M, _KEY_DEG)
-        return near and self.misfit(other.lit, other.T) < _KEY_MISFIT
+    def confirmed(self, shot: Shot, T_here: FloatArray | None) -> NDArray[np.float64] | None:
+        """The next frame's pose, if it shows the place, too, and is corrected alike. T_here: as it
+        was found."""
+        T_there = self.surroundings.find(shot)
+        if T_there is None or not self.surroundings.shows(shot, T_there):
+            return None
+        if self.T_here is None or T_here is None:
+            return T_there
+        expected = self.T_there @ inverse_T(self.T_here) @ T_here
+        return T_there if alike(expected, T_there, _AGREE_M, _AGREE_DEG) else None
 
 
 class Odometry:
-    """Camera poses of one recording or live camera, frame by frame, nothing from the future.
+    """Camera poses of one recording or live camera, frame by frame.
 
     >>> odometry = Odometry()
     >>> T_world_camera = odometry(depth_m, camera, color)
@@ -99,188 +57,75 @@ class Odometry:
 
     def __init__(self, rough_color: bool = False) -> None:
         """rough_color: colour lies on the depth images to some pixels only, so that it counts for
-        less, and nothing is compared with images of some time ago. Raises ConfigError where
+        less, and no image of some time ago betters the last one. Raises ConfigError where
         small_gicp is not installed."""
-        self._rough_color = rough_color
-        self._maps = [small_gicp().GaussianVoxelMap(cell_m) for cell_m in _CELLS_M]
-        self._T: NDArray[np.float64] = np.eye(4)
-        self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
-        self._before: cKDTree | None = None  # points of the last frame that was placed
-        self._lit: _Look | None = None  # the last image with colour
-        self._key: _Look | None = None  # one of some time ago
+        self._here = Surroundings(rough_color)
+        self._way = Way(rough_color)
+        self._return: _Return | None = None
 
     def __call__(
         self, depth_m: FloatArray, camera: Camera, color: NDArray[np.uint8] | None = None
     ) -> NDArray[np.float64] | None:
-        """`T_world_camera` (4, 4) of the next frame; None where too little of it agrees with what
-        was seen before. The world is levelled as the first frame shows it: z up, the floor it
-        sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving thing should not
-        be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, black where it is not
-        known, for what surfaces do not tell. Raises SequenceError where they are not such images
-        of the camera."""
+        """`T_world_camera` (4, 4) of the next frame by this one and those before; None where too
+        little of it agrees with what was seen. The world is levelled as the first frame shows it: z
+        up, the floor it sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving
+        thing should not be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, black
+        where it is not known, for what surfaces do not tell. Raises SequenceError where they are
+        not such images of the camera."""
         depth_m = usable_depth("odometry", depth_m, camera)
-        points = back_project(depth_m, camera)[(depth_m > 0) & (depth_m < _FAR_M)]
-        if len(points) < _MIN_POINTS:
-            return None
-        cloud, _ = small_gicp().preprocess_points(
-            points.astype(np.float64), _SPACING_M, num_neighbors=_NEIGHBOURS
-        )
-        points = cloud.points()[:, :3]
-        if len(points) < _MIN_POINTS:
-            return None
-        lit = None
         if color is not None:
             color = usable_color("odometry", color, camera)
-            lit = LitView(np.where(depth_m < _FAR_M, depth_m, 0), color, camera)
-        if self._before is None:
-            _, self._T = CameraLeveler().level(surface_of(depth_m, camera))
-        else:
-            T = self._aligned(cloud, points)
-            if lit is not None and self._lit is not None:
-                T = self._aligned_in_light(cloud, points, lit, self._lit, T)
-            self._motion = np.eye(4) if T is None else inverse_T(self._T) @ T
-            if T is None:
-                return None
-            self._T = T
-        for cells in self._maps:
-            cells.insert(cloud, self._T)
-        self._before = cKDTree(apply_T(self._T, points), balanced_tree=False, compact_nodes=False)
-        if lit is not None:
-            self._lit = _Look(lit, self._T)
-            if not self._rough_color and (self._key is None or not self._key.shows(self._lit)):
-                self._key = self._lit
-        return self._T.copy()
+        T, shot = None, Shot.taken(depth_m, camera, color)
+        if shot is not None:
+            small = small_image(depth_m, color)
+            if self._here.empty:
+                _, T = CameraLeveler().level(surface_of(depth_m, camera))
+            else:
+                T = self._corrected(shot, small, self._here.find(shot))
+        if shot is None or T is None:
+            self._way.lose()
+            return None
+        self._here.add(shot, T)
+        self._way.add(shot, small, T)
+        return T.copy()
 
-    def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
-        """The best guess's pose, if it is good enough."""
-        best, share = self._T, _LOST_SHARE - _BETTER_SHARE
-        poses: list[NDArray[np.float64]] = []
-        for guess in (*self._carried_on(), *self._turned()):
-            T = self._refined(cloud, guess)
-            if not self._within_reach(T):
-                continue
-            near = self._near_share(apply_T(T, points))
-            if near > share + _BETTER_SHARE:
-                best, share = T, near
-            again = any(_alike(T, other, _SAME_M, _SAME_DEG) for other in poses)
-            if share > _GOOD_SHARE or (share > _FAIR_SHARE and again):
-                break
-            poses.append(T)
-        return best if share >= _LOST_SHARE else None
+    def way(self) -> list[NDArray[np.float64] | None]:
+        """The poses of all frames so far, as those after them have corrected them; None where the
+        camera was lost."""
+        return [None if T is None else T.copy() for T in self._way.poses]
 
-    def _carried_on(self) -> list[NDArray[np.float64]]:
-        """Guesses: the last motion, if there was one, and rest."""
-        moves = not np.array_equal(self._motion, np.eye(4))
-        return [*([self._T @ self._motion] if moves else []), self._T]
-
-    def _turned(self) -> list[NDArray[np.float64]]:
-        R, t = self._T[:3, :3], self._T[:3, 3]
-        return [make_T(rotation_z(angle) @ R, t) for angle in np.radians(_TURNS_DEG)]
-
-    def _within_reach(self, T: FloatArray) -> bool:
-        return _alike(T, self._T, _MAX_STEP_M, _MAX_TURN_DEG)
-
-    def _aligned_in_light(
-        self,
-        cloud: Any,
-        points: FloatArray,
-        lit: LitView,
-        last: _Look,
-        by_surface: NDArray[np.float64] | None,
+    def _corrected(
+        self, shot: Shot, small: NDArray[np.float32], T: NDArray[np.float64] | None
     ) -> NDArray[np.float64] | None:
-        """The best of the pose by surfaces, if there is one, that pose bettered by brightness, and
-        one that was sought by brightness first. last: the last image with colour, as that of a slow
-        camera several frames ago."""
-
-        def worth(T: FloatArray) -> float:
-            near = self._near_share(apply_T(T, points))
-            if near < _LOST_SHARE or not self._within_reach(T):
-                return -np.inf
-            return near - _LIKENESS * float(np.log(np.clip(last.misfit(lit, T), *_MISFITS)))
-
-        best, most = by_surface, -np.inf
-        if by_surface is not None:
-            both = (by_surface, self._bettered(cloud, lit, last, by_surface))
-            most, best = max(((worth(T), T) for T in both), key=itemgetter(0))
-        sure = best is not None and self._near_share(apply_T(best, points)) > _GOOD_SHARE
-        guesses = self._carried_on() if sure else [*self._carried_on(), *self._turned()]
-        by_light = [last.guessed(lit, guess) for guess in guesses]
-        least, likest = min(((last.misfit(lit, T), T) for T in by_light), key=itemgetter(0))
-        if np.isfinite(least):
-            bettered = self._bettered(cloud, lit, last, likest)
-            if worth(bettered) > most + _CLEARLY:
-                best = bettered
-        return best
-
-    def _bettered(
-        self, cloud: Any, lit: LitView, last: _Look, T_start: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """The pose after Gauss-Newton by the finest map and brightness, from small images on.
-        Brightness weighs little, so that it moves the camera where surfaces let it."""
-        weight = _ROUGH_BRIGHTNESS if self._rough_color else _BRIGHTNESS
-        T = T_start
-        for level in reversed(range(LEVELS)):
-            for _ in range(_ITERATIONS):
-                at_T = self._equations(-1, cloud, T)
-                says = last.equations(lit, T, level)
-                if at_T.num_inliers < _MIN_POINTS or not says.pixels:
-                    break
-                if self._key is not None and self._key is not last:
-                    says += self._key.equations(lit, T, level)
-                says = says.weighed(weight * at_T.num_inliers / says.pixels)
-                step = _step(at_T, T, T_start, _LIT_SPRING, says)
-                T = moved(T, step)
-                if np.abs(step).max() < _DONE:
-                    break
+        """The frame's pose by keyframes where they correct it, else T, as it was found."""
+        back, self._return = self._return, None
+        T_there = None if back is None else back.confirmed(shot, T)
+        if back is not None and T_there is not None:
+            if T is not None:
+                self._way.bend(self._way.last_seen(back.key), T, T_there)
+            self._here, back.key.seen = back.surroundings, len(self._way.poses)
+            return T_there
+        if T is None or len(self._way.poses) % _EVERY == 0:
+            self._return = self._seen_again(shot, small, T)
         return T
 
-    def _equations(self, size: int, cloud: Any, T: FloatArray) -> Any:
-        """small_gicp's normal equations at a pose, by the map of cells of that size."""
-        return small_gicp().align(
-            self._maps[size],
-            cloud,
-            init_T_target_source=T,
-            max_correspondence_distance=_REACH_CELLS * _CELLS_M[size],
-            max_iterations=1,
-        )
-
-    def _refined(self, cloud: Any, T_guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The pose after Gauss-Newton with each map, coarse to fine."""
-        T = T_guess
-        for size, spring in enumerate(_SPRINGS):
-            for _ in range(_ITERATIONS):
-                at_T = self._equations(size, cloud, T)
-                if at_T.num_inliers < _MIN_POINTS:
-                    break
-                step = _step(at_T, T, T_guess, spring)
-                T = moved(T, step)
-                if np.abs(step).max() < _DONE:
-                    break
-        return T
-
-    def _near_share(self, points: FloatArray) -> float:
-        assert self._before is not None
-        distance_m, _ = self._before.query(points, distance_upper_bound=_NEAR_M)
-        return float(np.isfinite(distance_m).mean())
-
-
-def _step(
-    at_T: Any, T: FloatArray, T_guess: FloatArray, spring: float, lit: Equations | None = None
-) -> NDArray[np.float64]:
-    """(6,) rotation vector and translation, in the camera's axes, that best fits the surfaces, the
-    spring and brightness. at_T: small_gicp's normal equations at the pose T; lit: those of
-    brightness, weighed against them."""
-    stiffness = spring * at_T.num_inliers
-    H, b = at_T.H.copy(), -at_T.b
-    if lit is not None:
-        H += lit.H
-        b -= lit.b
-    H[3:, 3:] += stiffness * np.eye(3)
-    b[3:] += stiffness * T[:3, :3].T @ (T_guess[:3, 3] - T[:3, 3])
-    return np.asarray(np.linalg.lstsq(H, b, rcond=None)[0])
-
-
-def _alike(T: FloatArray, other: FloatArray, metres: float, degrees: float) -> bool:
-    """Whether two poses are not farther apart than that."""
-    apart_m = np.linalg.norm(T[:3, 3] - other[:3, 3])
-    return bool(apart_m <= metres and angle_between_deg(T[:3, :3], other[:3, :3]) <= degrees)
+    def _seen_again(
+        self, shot: Shot, small: NDArray[np.float32], T: NDArray[np.float64] | None
+    ) -> _Return | None:
+        """Where a keyframe of long ago says that the camera is, if that is not where it was
+        found."""
+        now, keys = len(self._way.poses), self._way.likest(small, _LIKE)
+        if T is not None:  # the oldest, whose place is surest
+            keys = sorted(keys, key=lambda key: key.number)
+            keys = [key for key in keys if now - key.seen >= _UNSEEN][:1]
+        for key in keys:
+            place = self._way.around(key)
+            T_there = place.find(shot)
+            if T_there is None or not place.shows(shot, T_there):
+                continue
+            if T is not None and alike(T_there, T, _SAME_M, _SAME_DEG):
+                key.seen = now
+            elif T is None or place.prefers(shot, T_there, T):
+                place.add(shot, T_there)
+                return _Return(key, place, T_there, T)
+        return None

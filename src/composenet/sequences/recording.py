@@ -191,16 +191,19 @@ class RecordedSequence:
     def _follow_camera(self, watch: Watch) -> None:
         """Give every frame a pose by odometry; the frames where it loses the camera are skipped."""
         checks.check_depth(self._source.path, self._read_samples(), self._depth_scale)
-        odometry, posed, before = self.odometry(), [], None
+        odometry, followed, before = self.odometry(), [], None
         for frame in watch(self._frames):
             try:
                 depth_m = self._read_depth_m(frame)
                 anew = frame.color != before  # one that comes twice would say that nothing moved
                 color, before = self._read_color(frame, depth_m) if anew else None, frame.color
-                T_source_camera = odometry(depth_m, self.camera, color)
+                odometry(depth_m, self.camera, color)
             except SequenceError as error:
                 self._skip(frame, str(error))
-                continue
+            else:
+                followed.append(frame)
+        posed = []
+        for frame, T_source_camera in zip(followed, odometry.way(), strict=True):
             if T_source_camera is None:
                 self._skip(frame, "odometry lost the camera: it shows too little of what was seen")
             else:
