@@ -47,6 +47,12 @@ def small_image(depth_m: FloatArray, color: NDArray[np.uint8] | None) -> NDArray
     return np.asarray(np.where(length > 1e-3, small / np.maximum(length, 1e-3), 0), np.float32)
 
 
+def _likeness(small: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """The mean correlation of what both have; -1 where that is nothing."""
+    both = small.any(axis=1) & other.any(axis=1)
+    return float((small * other)[both].sum()) / both.sum() if both.any() else -1.0
+
+
 def _shrunk(image: FloatArray) -> FloatArray:
     whole = Image.fromarray(np.asarray(image, np.float32))
     return np.asarray(whole.resize(_SMALL, Image.Resampling.BOX)).ravel()
@@ -83,7 +89,7 @@ class Way:
 
     def likest(self, small: NDArray[np.float32], count: int) -> list[Keyframe]:
         """Those that the frame is most like, best first."""
-        likeness = [float((key.small * small).sum()) / 2 for key in self._keys]
+        likeness = [_likeness(key.small, small) for key in self._keys]
         order = np.argsort(likeness)[::-1][:count]
         return [self._keys[i] for i in order if likeness[i] > _ALIKE]
 

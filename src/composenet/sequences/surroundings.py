@@ -65,7 +65,7 @@ _CLEARLY = 0.05  # so much more a pose by brightness alone must have
 _EARLIER_M, _EARLIER_DEG, _EARLIER_MISFIT = 0.5, 30.0, 0.06  # beyond these an image places no other
 _SURE_SHARE, _SURE_MISFIT = 0.5, 0.06  # of two frames that show the same
 _SURE_BARE_SHARE = 0.7  # likewise without colour
-_FAR_BETTER = 0.7  # so much smaller a misfit, or another share, decides between poses
+_FAR_NEARER, _FAR_LIKER = 0.1, 0.7  # a share so much larger, a misfit so many times: far better
 
 
 @dataclass(frozen=True)
@@ -291,9 +291,10 @@ class Surroundings:
         """Whether a frame agrees with the last one far better at one pose than at another."""
         near, misfit = self._agreement(shot, T)
         other_near, other_misfit = self._agreement(shot, T_other)
-        if other_near < _FAR_BETTER * near:
-            return True
-        return misfit is not None and misfit < _FAR_BETTER * (other_misfit or 0)
+        nearer = near > other_near + _FAR_NEARER
+        if misfit is None or other_misfit is None:
+            return nearer
+        return misfit < _FAR_LIKER * other_misfit or (nearer and misfit < other_misfit)
 
     def _agreement(self, shot: Shot, T: FloatArray) -> tuple[float, float | None]:
         """Of a frame at a pose and the last one: the share of its points near that one's, and how
