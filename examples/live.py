@@ -26,8 +26,9 @@ import composenet
 from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.records import FloatArray, TrackedObject
 
-LOST_S = 3.0
-"""After so long without a pose the camera's way begins anew, in a world of its own."""
+LOST_S = 10.0
+"""After so long without a pose the camera's way begins anew, in a world of its own. Until then it
+may see what it saw before, as when a hand that covered it is gone."""
 
 
 @dataclass(frozen=True)

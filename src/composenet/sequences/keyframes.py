@@ -19,21 +19,23 @@ from composenet.records import FloatArray
 from composenet.sequences.surroundings import Shot, Surroundings, alike
 
 _APART_M, _APART_DEG = 0.3, 15.0  # a keyframe so far from all others
-_MOST = 300  # of them; beyond, the one that was not seen for longest is forgotten
+_MOST = 200  # of 1 to 3 MB; beyond, the one that was not seen for longest is forgotten
 _SMALL = (20, 15)  # pixels, across and down
 _NEAREST_M = 0.3  # what is nearer looks as near
 _ALIKE = 0.5  # correlation of small images
-_AROUND_M, _AROUND_DEG = 1.0, 60.0  # other keyframes whose surfaces help
+_AROUND_M, _AROUND_DEG, _AROUND = 1.0, 60.0, 8  # other keyframes whose surfaces help
 
 
 @dataclass
 class Keyframe:
-    """number: of the frame. seen: number of the last frame that agreed with it."""
+    """number: of the frame. seen, asked: numbers of the last frame that agreed with it, and of the
+    last that did not, but could not tell where else it is."""
 
     number: int
     shot: Shot
     small: NDArray[np.float32]
     seen: int
+    asked: int = -1
 
 
 def small_image(depth_m: FloatArray, color: NDArray[np.uint8] | None) -> NDArray[np.float32]:
@@ -100,21 +102,32 @@ class Way:
     def around(self, key: Keyframe) -> Surroundings:
         """What it and the older ones near it have seen; the next frame is sought at its place."""
         place, T = Surroundings(self._rough_color), self.pose(key)
-        for other in self._keys[: self._keys.index(key)]:
-            if alike(self.pose(other), T, _AROUND_M, _AROUND_DEG):
-                place.remember(other.shot, self.pose(other))
+        older = [(other, self.pose(other)) for other in self._keys if other.number < key.number]
+        older = [(other, pose) for other, pose in older if alike(pose, T, _AROUND_M, _AROUND_DEG)]
+        older.sort(key=lambda one: float(np.linalg.norm(one[1][:3, 3] - T[:3, 3])))
+        for other, pose in older[:_AROUND]:
+            place.remember(other.shot, pose)
         place.add(key.shot, T)
         return place
 
-    def bend(self, since: int, T_wrong: FloatArray, T_right: FloatArray) -> None:
-        """Move the frames after the one of that number, the more the later, so that a next one at
-        T_wrong would be at T_right."""
-        turn = Rotation.from_matrix(T_right[:3, :3] @ T_wrong[:3, :3].T).as_rotvec()
-        center, shift = T_wrong[:3, 3], T_right[:3, 3] - T_wrong[:3, 3]
-        for number in range(since + 1, len(self.poses)):
-            T = self.poses[number]
-            if T is not None:
-                part = (number - since) / (len(self.poses) - since)
-                R = Rotation.from_rotvec(part * turn).as_matrix()
-                t = center + part * shift + R @ (T[:3, 3] - center)
-                self.poses[number] = make_T(R @ T[:3, :3], t)
+    def bend(self, since: int, until: int, T_wrong: FloatArray, T_right: FloatArray) -> None:
+        """Move the frames after number `since`, the more the later, so that number `until` comes
+        from T_wrong to T_right: every step turns by its part of the way, and what is left of the
+        distance is shared alike."""
+        T_since = self.poses[since]
+        assert T_since is not None
+        known = [i for i in range(since + 1, until) if self.poses[i] is not None]
+        poses = [T_since, *(self.poses[i] for i in known), T_wrong]
+        t = np.stack([T[:3, 3] for T in poses if T is not None])
+        parts = (np.array([since, *known, until]) - since) / (until - since)
+        whole = Rotation.from_matrix(T_right[:3, :3] @ T_wrong[:3, :3].T).as_rotvec()
+        turns = Rotation.from_rotvec(parts[:, None] * whole).as_matrix()
+        steps = np.einsum("nij,nj->ni", turns[:-1], np.diff(t, axis=0))
+        bent = t[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+        bent += parts[:, None] * (T_right[:3, 3] - bent[-1])
+        for i, R, position in zip(known, turns[1:], bent[1:], strict=False):
+            T = self.poses[i]
+            assert T is not None
+            self.poses[i] = make_T(R @ T[:3, :3], position)
+        if until < len(self.poses):
+            self.poses[until] = np.array(T_right)

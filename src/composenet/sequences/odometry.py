@@ -21,31 +21,45 @@ from composenet.sequences.surroundings import Shot, Surroundings, alike
 
 _EVERY = 3  # frames: so often one is compared with a keyframe
 _UNSEEN = 10  # frames: one that was seen since says nothing new
-_LIKE = 4  # keyframes that the frame is most like
+_LIKE, _TRIED = 4, 2  # keyframes that a frame is most like; those tried where it is lost
 _SAME_M, _SAME_DEG = 0.03, 1.5  # nearer poses are the same
 _AGREE_M, _AGREE_DEG = 0.05, 2.0  # likewise of two frames' corrections
 
 
 @dataclass(frozen=True)
 class _Return:
-    """A place where the camera seems to be again. surroundings: of `key`, and the frame. T_there,
-    T_here: (4, 4), the frame's pose by them, and as it was found, None where it was lost."""
+    """A frame at a place where the camera seems to be again. key: seen there, surroundings: its
+    own; since: number of the last frame that agreed with it or an older one. T_there, T_here: (4,
+    4), the frame's pose by them, and as it was found, None where the camera was lost."""
 
     key: Keyframe
     surroundings: Surroundings
+    since: int
+    shot: Shot
     T_there: NDArray[np.float64]
     T_here: NDArray[np.float64] | None
 
     def confirmed(self, shot: Shot, T_here: FloatArray | None) -> NDArray[np.float64] | None:
         """The next frame's pose, if it shows the place, too, and is corrected alike. T_here: as it
         was found."""
-        T_there = self.surroundings.find(shot)
-        if T_there is None or not self.surroundings.shows(shot, T_there):
-            return None
-        if self.T_here is None or T_here is None:
+        T_there = _sure_pose(self.surroundings, shot)
+        if T_there is None or T_here is None:
             return T_there
-        expected = self.T_there @ inverse_T(self.T_here) @ T_here
-        return T_there if alike(expected, T_there, _AGREE_M, _AGREE_DEG) else None
+        if self.T_here is not None:
+            expected = self.T_there @ inverse_T(self.T_here) @ T_here
+            if not alike(expected, T_there, _AGREE_M, _AGREE_DEG):
+                return None
+        return T_there if _is_elsewhere(self.surroundings, shot, T_there, T_here) else None
+
+
+def _sure_pose(place: Surroundings, shot: Shot) -> NDArray[np.float64] | None:
+    T = place.find(shot)
+    return T if T is not None and place.shows(shot, T) else None
+
+
+def _is_elsewhere(place: Surroundings, shot: Shot, T_there: FloatArray, T: FloatArray) -> bool:
+    same = alike(T_there, T, _SAME_M, _SAME_DEG)
+    return not same and place.prefers(shot, T_there, T)
 
 
 class Odometry:
@@ -82,6 +96,8 @@ class Odometry:
                 _, T = CameraLeveler().level(surface_of(depth_m, camera))
             else:
                 T = self._corrected(shot, small, self._here.find(shot))
+        else:
+            self._return = None
         if shot is None or T is None:
             self._way.lose()
             return None
@@ -101,13 +117,23 @@ class Odometry:
         back, self._return = self._return, None
         T_there = None if back is None else back.confirmed(shot, T)
         if back is not None and T_there is not None:
-            if T is not None:
-                self._way.bend(self._way.last_seen(back.key), T, T_there)
-            self._here, back.key.seen = back.surroundings, len(self._way.poses)
+            self._go_back(back, T, T_there)
             return T_there
         if T is None or len(self._way.poses) % _EVERY == 0:
             self._return = self._seen_again(shot, small, T)
         return T
+
+    def _go_back(
+        self, back: _Return, T: NDArray[np.float64] | None, T_there: NDArray[np.float64]
+    ) -> None:
+        """Go on from there. T, T_there: as the frame after that of `back` was found, and is."""
+        now = len(self._way.poses)
+        if T is not None:
+            self._way.bend(back.since, now, T, T_there)
+        elif back.T_here is not None:
+            self._way.bend(back.since, now - 1, back.T_here, back.T_there)
+        back.surroundings.add(back.shot, back.T_there)
+        self._here, back.key.seen = back.surroundings, now
 
     def _seen_again(
         self, shot: Shot, small: NDArray[np.float32], T: NDArray[np.float64] | None
@@ -116,16 +142,17 @@ class Odometry:
         found."""
         now, keys = len(self._way.poses), self._way.likest(small, _LIKE)
         if T is not None:  # the oldest, whose place is surest
-            keys = sorted(keys, key=lambda key: key.number)
-            keys = [key for key in keys if now - key.seen >= _UNSEEN][:1]
-        for key in keys:
+            keys = [key for key in keys if now - max(key.seen, key.asked) >= _UNSEEN]
+            keys = sorted(keys, key=lambda key: key.number)[:1]
+        for key in keys[:_TRIED]:
             place = self._way.around(key)
-            T_there = place.find(shot)
-            if T_there is None or not place.shows(shot, T_there):
+            T_there = _sure_pose(place, shot)
+            if T_there is None:
                 continue
             if T is not None and alike(T_there, T, _SAME_M, _SAME_DEG):
                 key.seen = now
-            elif T is None or place.prefers(shot, T_there, T):
-                place.add(shot, T_there)
-                return _Return(key, place, T_there, T)
+            elif T is None or _is_elsewhere(place, shot, T_there, T):
+                return _Return(key, place, self._way.last_seen(key), shot, T_there, T)
+            else:
+                key.asked = now
         return None
