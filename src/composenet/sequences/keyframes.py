@@ -26,16 +26,17 @@ _ALIKE = 0.5  # correlation of small images
 _AROUND_M, _AROUND_DEG, _AROUND = 1.0, 60.0, 8  # other keyframes whose surfaces help
 
 
-@dataclass
+@dataclass(eq=False)
 class Keyframe:
     """number: of the frame. seen, asked: numbers of the last frame that agreed with it, and of the
-    last that did not, but could not tell where else it is."""
+    last that was compared with it. bent: moved with the way since, and not seen again."""
 
     number: int
     shot: Shot
     small: NDArray[np.float32]
     seen: int
     asked: int = -1
+    bent: bool = False
 
 
 def small_image(depth_m: FloatArray, color: NDArray[np.uint8] | None) -> NDArray[np.float32]:
@@ -76,7 +77,7 @@ class Way:
         if any(alike(T, self.pose(key), _APART_M, _APART_DEG) for key in self._keys):
             return
         if len(self._keys) >= _MOST:
-            self._keys.remove(min(self._keys, key=lambda key: key.seen))
+            self.forget(min(self._keys, key=lambda key: key.seen))
         self._keys.append(Keyframe(number, shot, small, number))
 
     def lose(self) -> None:
@@ -99,6 +100,10 @@ class Way:
         """Number of the last frame that agreed with it or an older one."""
         return max(other.seen for other in self._keys if other.number <= key.number)
 
+    def forget(self, key: Keyframe) -> None:
+        """Keep it no longer."""
+        self._keys.remove(key)
+
     def around(self, key: Keyframe) -> Surroundings:
         """What it and the older ones near it have seen; the next frame is sought at its place."""
         place, T = Surroundings(self._rough_color), self.pose(key)
@@ -110,10 +115,20 @@ class Way:
         place.add(key.shot, T)
         return place
 
-    def bend(self, since: int, until: int, T_wrong: FloatArray, T_right: FloatArray) -> None:
-        """Move the frames after number `since`, the more the later, so that number `until` comes
-        from T_wrong to T_right: every step turns by its part of the way, and what is left of the
+    def length(self, since: int) -> tuple[float, float]:
+        """Of the way from frame `since` to the last: metres and degrees of turns."""
+        T = np.stack([T for T in self.poses[since:] if T is not None])
+        if len(T) < 2:
+            return 0.0, 0.0
+        turns = Rotation.from_matrix(T[:-1, :3, :3]).inv() * Rotation.from_matrix(T[1:, :3, :3])
+        steps_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+        return float(steps_m.sum()), float(np.degrees(turns.magnitude()).sum())
+
+    def bend(self, since: int, T_wrong: FloatArray, T_right: FloatArray) -> None:
+        """Move the frames after number `since`, the more the later, so that the next one comes from
+        T_wrong to T_right: every step turns by its part of the way, and what is left of the
         distance is shared alike."""
+        until = len(self.poses)
         T_since = self.poses[since]
         assert T_since is not None
         known = [i for i in range(since + 1, until) if self.poses[i] is not None]
@@ -129,5 +144,5 @@ class Way:
             T = self.poses[i]
             assert T is not None
             self.poses[i] = make_T(R @ T[:3, :3], position)
-        if until < len(self.poses):
-            self.poses[until] = np.array(T_right)
+        for key in self._keys:
+            key.bent = key.bent or key.number > since

@@ -24,6 +24,9 @@ _UNSEEN = 10  # frames: one that was seen since says nothing new
 _LIKE, _TRIED = 4, 2  # keyframes that a frame is most like; those tried where it is lost
 _SAME_M, _SAME_DEG = 0.03, 1.5  # nearer poses are the same
 _AGREE_M, _AGREE_DEG = 0.05, 2.0  # likewise of two frames' corrections
+_STEP_M, _STEP_DEG = 0.3, 30.0  # from one frame to the next
+_DRIFT, _DRIFT_BY_TURNS_M = 0.15, 0.002  # at most, of metres or degrees, and by a degree of turns
+_SLACK_M, _SLACK_DEG = 0.1, 3.0  # that it may drift besides
 
 
 @dataclass(frozen=True)
@@ -40,26 +43,21 @@ class _Return:
     T_here: NDArray[np.float64] | None
 
     def confirmed(self, shot: Shot, T_here: FloatArray | None) -> NDArray[np.float64] | None:
-        """The next frame's pose, if it shows the place, too, and is corrected alike. T_here: as it
-        was found."""
+        """The next frame's pose, if it shows the place, too, and is corrected alike, or is near the
+        first where both were lost. T_here: as it was found."""
         T_there = _sure_pose(self.surroundings, shot)
-        if T_there is None or T_here is None:
-            return T_there
-        if self.T_here is not None:
-            expected = self.T_there @ inverse_T(self.T_here) @ T_here
-            if not alike(expected, T_there, _AGREE_M, _AGREE_DEG):
-                return None
-        return T_there if _is_elsewhere(self.surroundings, shot, T_there, T_here) else None
+        if T_there is None or (T_here is None) != (self.T_here is None):
+            return None
+        if T_here is None or self.T_here is None:
+            return T_there if alike(self.T_there, T_there, _STEP_M, _STEP_DEG) else None
+        expected = self.T_there @ inverse_T(self.T_here) @ T_here
+        agrees = alike(expected, T_there, _AGREE_M, _AGREE_DEG)
+        return T_there if agrees and self.surroundings.prefers(shot, T_there, T_here) else None
 
 
 def _sure_pose(place: Surroundings, shot: Shot) -> NDArray[np.float64] | None:
     T = place.find(shot)
     return T if T is not None and place.shows(shot, T) else None
-
-
-def _is_elsewhere(place: Surroundings, shot: Shot, T_there: FloatArray, T: FloatArray) -> bool:
-    same = alike(T_there, T, _SAME_M, _SAME_DEG)
-    return not same and place.prefers(shot, T_there, T)
 
 
 class Odometry:
@@ -117,42 +115,50 @@ class Odometry:
         back, self._return = self._return, None
         T_there = None if back is None else back.confirmed(shot, T)
         if back is not None and T_there is not None:
-            self._go_back(back, T, T_there)
+            now = len(self._way.poses)
+            if T is not None:
+                self._way.bend(back.since, T, T_there)
+            back.surroundings.add(back.shot, back.T_there)
+            self._here, back.key.seen = back.surroundings, now
             return T_there
-        if T is None or len(self._way.poses) % _EVERY == 0:
+        if T is None:
+            self._return = self._found(shot, small)
+        elif len(self._way.poses) % _EVERY == 0:
             self._return = self._seen_again(shot, small, T)
         return T
 
-    def _go_back(
-        self, back: _Return, T: NDArray[np.float64] | None, T_there: NDArray[np.float64]
-    ) -> None:
-        """Go on from there. T, T_there: as the frame after that of `back` was found, and is."""
-        now = len(self._way.poses)
-        if T is not None:
-            self._way.bend(back.since, now, T, T_there)
-        elif back.T_here is not None:
-            self._way.bend(back.since, now - 1, back.T_here, back.T_there)
-        back.surroundings.add(back.shot, back.T_there)
-        self._here, back.key.seen = back.surroundings, now
-
-    def _seen_again(
-        self, shot: Shot, small: NDArray[np.float32], T: NDArray[np.float64] | None
-    ) -> _Return | None:
-        """Where a keyframe of long ago says that the camera is, if that is not where it was
-        found."""
-        now, keys = len(self._way.poses), self._way.likest(small, _LIKE)
-        if T is not None:  # the oldest, whose place is surest
-            keys = [key for key in keys if now - max(key.seen, key.asked) >= _UNSEEN]
-            keys = sorted(keys, key=lambda key: key.number)[:1]
-        for key in keys[:_TRIED]:
+    def _found(self, shot: Shot, small: NDArray[np.float32]) -> _Return | None:
+        """Where a keyframe says that the lost camera is."""
+        for key in self._way.likest(small, _TRIED):
             place = self._way.around(key)
             T_there = _sure_pose(place, shot)
-            if T_there is None:
-                continue
-            if T is not None and alike(T_there, T, _SAME_M, _SAME_DEG):
-                key.seen = now
-            elif T is None or _is_elsewhere(place, shot, T_there, T):
-                return _Return(key, place, self._way.last_seen(key), shot, T_there, T)
-            else:
-                key.asked = now
+            if T_there is not None:
+                return _Return(key, place, self._way.last_seen(key), shot, T_there, None)
         return None
+
+    def _seen_again(
+        self, shot: Shot, small: NDArray[np.float32], T: NDArray[np.float64]
+    ) -> _Return | None:
+        """Where the oldest keyframe that is like the frame says that the camera is, if that is not
+        where it was found, and no farther from there than it may have drifted."""
+        now = len(self._way.poses)
+        keys = [key for key in self._way.likest(small, _LIKE) if now - key.asked >= _UNSEEN]
+        key = min(keys, key=lambda key: key.number, default=None)
+        if key is None or now - (since := self._way.last_seen(key)) < _UNSEEN:
+            return None
+        place, key.asked = self._way.around(key), now
+        T_there = _sure_pose(place, shot)
+        if T_there is None:
+            return None
+        if alike(T_there, T, _SAME_M, _SAME_DEG):
+            key.seen, key.bent = now, False
+            return None
+        if key.bent:  # not far enough, or too far
+            self._way.forget(key)
+            return None
+        metres, degrees = self._way.length(since)
+        reach_m = _SLACK_M + _DRIFT * metres + _DRIFT_BY_TURNS_M * degrees
+        drifted = alike(T_there, T, reach_m, _SLACK_DEG + _DRIFT * degrees)
+        if not (drifted and place.prefers(shot, T_there, T)):
+            return None
+        return _Return(key, place, since, shot, T_there, T)
