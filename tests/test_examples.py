@@ -139,8 +139,9 @@ def test_what_nobody_took_is_replaced_and_errors_arrive() -> None:
 
 
 def test_a_lost_camera_begins_a_new_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After three seconds; until then what it sees is left out."""
+    """After `LOST_S` seconds, three images here; until then what it sees is left out."""
     live = runpy.run_path(str(LIVE))
+    step_s = live["LOST_S"] / 3
     found: dict[float, bool] = {0: True, 1: True, 2: False, 3: False, 4: False, 5: False, 6: True}
 
     class Odometry:
@@ -152,12 +153,12 @@ def test_a_lost_camera_begins_a_new_world(monkeypatch: pytest.MonkeyPatch) -> No
 
     class Box:
         def put(self, item: object) -> None:
-            seen.append((item.image.time_s, item.world))  # type: ignore[attr-defined]
+            seen.append((item.image.depth_m, item.world))  # type: ignore[attr-defined]
 
         def end(self, error: Exception | None = None) -> None:
             seen.append(("end", error))
 
-    images = [live["Image"](float(t), None, None, float(t)) for t in range(7)]
+    images = [live["Image"](float(t), None, None, step_s * t) for t in range(7)]
     monkeypatch.setattr(live["time"], "monotonic", lambda: 0.0)
     live["follow"]((image for image in images), Box(), stop)
     assert seen == [(0.0, 0), (1.0, 0), (6.0, 1), ("end", None)]
