@@ -19,7 +19,7 @@ from composenet.records import FloatArray
 from composenet.sequences.surroundings import Shot, Surroundings, alike
 
 _APART_M, _APART_DEG = 0.3, 15.0  # a keyframe so far from all others
-_MOST = 200  # of 1 to 3 MB; beyond, the one that was not seen for longest is forgotten
+_MOST = 200  # of 2 to 3 MB; beyond, the one that was not seen for longest is forgotten
 _SMALL = (20, 15)  # pixels, across and down
 _NEAREST_M = 0.3  # what is nearer looks as near
 _ALIKE = 0.5  # correlation of small images

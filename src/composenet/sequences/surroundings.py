@@ -169,6 +169,22 @@ class Surroundings:
         self._motion = np.eye(4)
         return T
 
+    def shows(self, shot: Shot, T: FloatArray) -> bool:
+        """Whether a frame at that pose surely shows what the last one did."""
+        near, misfit = self._agreement(shot, T)
+        if misfit is None:
+            return near > _SURE_BARE_SHARE
+        return near > _SURE_SHARE and misfit < _SURE_MISFIT
+
+    def prefers(self, shot: Shot, T: FloatArray, T_other: FloatArray) -> bool:
+        """Whether a frame agrees with the last one far better at one pose than at another."""
+        near, misfit = self._agreement(shot, T)
+        other_near, other_misfit = self._agreement(shot, T_other)
+        nearer = near > other_near + _FAR_NEARER
+        if misfit is None or other_misfit is None:
+            return nearer
+        return misfit < _FAR_LIKER * other_misfit or (nearer and misfit < other_misfit)
+
     def _aligned(self, cloud: Any, points: FloatArray) -> NDArray[np.float64] | None:
         """The best guess's pose, if it is good enough."""
         best, share = self.T, _LOST_SHARE - _BETTER_SHARE
@@ -279,22 +295,6 @@ class Surroundings:
                 if np.abs(step).max() < _DONE:
                     break
         return T
-
-    def shows(self, shot: Shot, T: FloatArray) -> bool:
-        """Whether a frame at that pose surely shows what the last one did."""
-        near, misfit = self._agreement(shot, T)
-        if misfit is None:
-            return near > _SURE_BARE_SHARE
-        return near > _SURE_SHARE and misfit < _SURE_MISFIT
-
-    def prefers(self, shot: Shot, T: FloatArray, T_other: FloatArray) -> bool:
-        """Whether a frame agrees with the last one far better at one pose than at another."""
-        near, misfit = self._agreement(shot, T)
-        other_near, other_misfit = self._agreement(shot, T_other)
-        nearer = near > other_near + _FAR_NEARER
-        if misfit is None or other_misfit is None:
-            return nearer
-        return misfit < _FAR_LIKER * other_misfit or (nearer and misfit < other_misfit)
 
     def _agreement(self, shot: Shot, T: FloatArray) -> tuple[float, float | None]:
         """Of a frame at a pose and the last one: the share of its points near that one's, and how
