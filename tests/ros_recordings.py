@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -155,7 +155,41 @@ def png(pixels: np.ndarray) -> bytes:
     return out.getvalue()
 
 
-def packed_depth(pixels: np.ndarray, scale: float = 0.0, offset: float = 0.0) -> bytes:
+def rvl(pixels: np.ndarray) -> bytes:
+    """Depth compressed by RVL, by the paper's words: groups of three bits, one after the other."""
+    groups: list[int] = []
+
+    def write(number: int) -> None:
+        while number > 7:
+            groups.append(8 | number & 7)
+            number >>= 3
+        groups.append(number)
+
+    rest, before = pixels.ravel().tolist(), 0
+    while rest:
+        without = next((i for i, depth in enumerate(rest) if depth), len(rest))
+        measured = rest[without:]
+        count = next((i for i, depth in enumerate(measured) if not depth), len(measured))
+        write(without)
+        write(count)
+        for depth in measured[:count]:
+            step, before = depth - before, depth
+            write(2 * step if step >= 0 else -2 * step - 1)
+        rest = measured[count:]
+    groups += [0] * (-len(groups) % 8)
+    words = [
+        int("".join(f"{g:x}" for g in groups[i : i + 8]), 16) for i in range(0, len(groups), 8)
+    ]
+    height, width = pixels.shape
+    return np.array([width, height, *words], "<u4").tobytes()
+
+
+def packed_depth(
+    pixels: np.ndarray,
+    scale: float = 0.0,
+    offset: float = 0.0,
+    compressed: Callable[[np.ndarray], bytes] = png,
+) -> bytes:
     """As `compressedDepth` sends it."""
     numbers = np.array([scale, offset], "<f4").tobytes()
-    return bytes(4) + numbers + png(pixels)
+    return bytes(4) + numbers + compressed(pixels)

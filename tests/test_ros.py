@@ -23,7 +23,7 @@ from composenet.sequences import SequenceOptions, open_sequence
 from composenet.sequences.images import read_depth
 from composenet.sequences.ros_bag import Bag
 from composenet.sequences.ros_transforms import Transforms
-from ros_recordings import KINDS, Recording, packed_depth, png
+from ros_recordings import KINDS, Recording, packed_depth, png, rvl
 
 WIDTH, HEIGHT, COUNT, START_S = 24, 18, 4, 100.0
 K = np.array([[20.0, 0, 11.5], [0, 20.0, 8.5], [0, 0, 1]])
@@ -164,21 +164,21 @@ def test_rows_may_be_padded(tmp_path: Path) -> None:
     assert np.array_equal(frame.depth_m, depth_mm(0) / np.float32(1000))
 
 
+@pytest.mark.parametrize("compressed", [png, rvl])
 @pytest.mark.parametrize("kind", KINDS)
-def test_compressed_depth(kind: str, tmp_path: Path) -> None:
+def test_compressed_depth(
+    kind: str, compressed: Callable[[np.ndarray], bytes], tmp_path: Path
+) -> None:
     scale, offset = 100.0, -0.5  # depth = scale / (steps - offset)
     metres = depth_mm(1) / 1000
     steps = np.where(metres > 0, scale / np.maximum(metres, 1e-3) + offset, 0)
     bag = Recording(kind)
     topic = f"{DEPTH}/compressedDepth"
-    bag.packed(topic, 1.0, "optical", packed_depth(depth_mm(0)), "16UC1; compressedDepth png")
-    bag.packed(
-        topic,
-        2.0,
-        "optical",
-        packed_depth(np.rint(steps).astype(np.uint16), scale, offset),
-        "32FC1; compressedDepth",
-    )
+    by = " rvl" if compressed is rvl else ""  # PNG need not be said
+    data = packed_depth(depth_mm(0), compressed=compressed)
+    bag.packed(topic, 1.0, "optical", data, f"16UC1; compressedDepth{by}")
+    data = packed_depth(np.rint(steps).astype(np.uint16), scale, offset, compressed)
+    bag.packed(topic, 2.0, "optical", data, f"32FC1; compressedDepth{by}")
     bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
     first, second = frames_of(bag.write(tmp_path))
     assert np.array_equal(first.depth_m, depth_mm(0) / np.float32(1000))
@@ -193,7 +193,7 @@ def test_depth_that_cannot_be_unpacked_is_told_of(tmp_path: Path) -> None:
         topic = f"{DEPTH}/compressedDepth"
         bag.packed(topic, 1.0 + i, "optical", bytes(40), "16UC1; compressedDepth rvl")
     bag.info("/camera/depth/camera_info", "optical", K, (WIDTH, HEIGHT))
-    with pytest.raises(SequenceError, match=r"none of its frames.*compressed by RVL"):
+    with pytest.raises(SequenceError, match=r"none of its frames.*image claims to be 0x0"):
         open_sequence(bag.write(tmp_path))
 
 

@@ -57,7 +57,7 @@ class PackedImage:
             data = file.read(self.length)
         if self.packing == "file":
             return Image.open(BytesIO(data))
-        width, height = _possible(self.size)
+        width, height = possible_size(self.size)
         if self.packing == "rgb":
             return Image.frombytes("RGB", self.size, data)
         if self.packing == "zlib uint16":
@@ -72,7 +72,7 @@ def image_size(source: ImageSource) -> tuple[int, int]:
     """(width, height) from the header alone. Raises SequenceError."""
     known = None if isinstance(source, Path) else source.known_size
     if known is not None:
-        return _possible(known)
+        return possible_size(known)
     with _opened(source) as image:
         return image.size
 
@@ -114,14 +114,14 @@ def _opened(source: ImageSource) -> Image.Image:
     except Exception:  # decoders raise many kinds on corrupt bytes
         raise SequenceError("image is corrupt or of an unknown kind") from None
     try:
-        _possible(image.size)
+        possible_size(image.size)
     except SequenceError:
         image.close()
         raise
     return image
 
 
-def _possible(size: tuple[int, int]) -> tuple[int, int]:
+def possible_size(size: tuple[int, int]) -> tuple[int, int]:
     """The size. Raises SequenceError where no image has it."""
     if not 0 < size[0] * size[1] <= _MAX_PIXELS:
         raise SequenceError(f"image claims to be {size[0]}x{size[1]}")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from composenet.errors import ConfigError, SequenceError
+from composenet.sequences import rvl
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -118,7 +119,7 @@ def is_depth(message: Any) -> bool:
     """Whether the image message holds depth, or 16 bits that may be depth."""
     if _is_plain(message):
         return message.encoding in DEPTH_ENCODINGS
-    if "rvl" in message.format.lower():
+    if _is_rvl(message):
         return True
     with suppress(SequenceError):
         return _packed_image(message)[0].mode in _DEPTH_MODES
@@ -129,6 +130,8 @@ def is_color(message: Any) -> bool:
     """Whether the image message holds colour that can be read."""
     if _is_plain(message):
         return message.encoding in _COLOR_CHANNELS
+    if _is_rvl(message):
+        return False
     with suppress(SequenceError):
         return _packed_image(message)[0].mode in ("RGB", "RGBA", "P")
     return False
@@ -139,12 +142,18 @@ def known_size(message: Any) -> tuple[int, int] | None:
     if _is_plain(message):
         return int(message.width), int(message.height)
     with suppress(SequenceError):
+        if _is_rvl(message):
+            return rvl.size(bytes(message.data[_HEADER_BYTES:]))
         return _packed_image(message)[0].size
     return None
 
 
 def _is_plain(message: Any) -> bool:
     return hasattr(message, "encoding")
+
+
+def _is_rvl(message: Any) -> bool:
+    return "rvl" in message.format.lower()
 
 
 def decoded(message: Any) -> Image.Image:
@@ -190,9 +199,9 @@ def unpacked(message: Any) -> Image.Image:
 def _packed_image(message: Any) -> tuple[Image.Image, bool]:
     """The file within the message, its header read, and whether what `compressedDepth` adds stands
     before it. Raises SequenceError."""
-    if "rvl" in message.format.lower():
-        raise SequenceError("depth is compressed by RVL, which cannot be read (PNG can)")
     data = bytes(message.data)
+    if _is_rvl(message):
+        return Image.fromarray(rvl.decoded(data[_HEADER_BYTES:])), True
     added = data[_HEADER_BYTES:].startswith(_PNG) and not data.startswith(_PNG)
     try:
         return Image.open(BytesIO(data[_HEADER_BYTES if added else 0 :])), added
