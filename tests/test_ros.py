@@ -197,6 +197,15 @@ def test_depth_that_cannot_be_unpacked_is_told_of(tmp_path: Path) -> None:
         open_sequence(bag.write(tmp_path))
 
 
+@pytest.mark.parametrize("character", "#?")
+def test_a_database_whose_path_is_no_address_is_told_of(character: str, tmp_path: Path) -> None:
+    bag = Recording("sqlite3")
+    add_depth(bag)
+    path = bag.write(tmp_path).rename(tmp_path / f"robot{character}1")
+    with pytest.raises(SequenceError, match="rename"):
+        open_sequence(path)
+
+
 @pytest.mark.parametrize(
     ("encoding", "channels"),
     [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],

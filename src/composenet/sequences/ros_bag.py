@@ -50,9 +50,13 @@ class Bag:
             self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
         except Exception as error:  # of many kinds on corrupt bytes
+            advice = (
+                "one that was cut short can be mended by `rosbag reindex` or `ros2 bag reindex`"
+            )
+            if "open database" in str(error) and set("#?%") & set(str(path.absolute())):
+                advice = "a .db3 file is not found where its path has '#', '?' or '%': rename it"
             raise SequenceError(
-                f"{path}: not a ROS recording that can be read ({_said(error)}); one that was cut "
-                "short can be mended by `rosbag reindex` or `ros2 bag reindex`"
+                f"{path}: not a ROS recording that can be read ({_said(error)}); {advice}"
             ) from None
 
     @cached_property
