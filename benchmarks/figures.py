@@ -23,11 +23,10 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from composenet.commands.score_cache import kept_sequences
-from composenet.commands.scoring import ScoredSequence, sequence_folders, truth_of
+from composenet.commands.scoring import ScoredSequence, sequence_folders
 from composenet.errors import DataError
 from composenet.metrics.calibration import Calibration, Judged, calibration, judged_tracks
 from composenet.metrics.evaluate import aggregate, bootstrap_interval
-from composenet.sequences import open_sequence
 
 GROUPS = 5
 """parts of equal size that the sequences fall into, by completion, at most"""
@@ -132,7 +131,7 @@ def read_scores(
 
 def judged(folder: Path, item: ScoredSequence) -> Judged:
     """The tracks of one sequence against its ground truth."""
-    truth = truth_of(folder, open_sequence(folder))
+    truth = item.truth(folder)
     return judged_tracks(truth, item.tracked)
 
 

@@ -23,12 +23,11 @@ from figures import read_scores
 from PIL import Image, ImageDraw
 
 from composenet.commands.failures import Failure, picture
-from composenet.commands.scoring import ScoredSequence, sequence_folders, truth_of
+from composenet.commands.scoring import ScoredSequence, sequence_folders
 from composenet.metrics.clear import MATCH_GATE_M
 from composenet.metrics.evaluate import SEEN_STATES, bootstrap_interval, posed_truths
 from composenet.metrics.objects import PosedTruth
 from composenet.records import CLASS_NAMES, TrackedObject
-from composenet.sequences import open_sequence
 
 NEAR_M = 2 * MATCH_GATE_M
 """A track of the right class this near to a missed object is one in the wrong place."""
@@ -79,7 +78,7 @@ def outcome(item: PosedTruth, scored: ScoredSequence, frame: int) -> tuple[str, 
 
 def counted_objects(folder: Path, one: ScoredSequence, other: ScoredSequence) -> Iterator[Counted]:
     """Every object-frame of a sequence that counts."""
-    truth = truth_of(folder, open_sequence(folder))
+    truth = one.truth(folder)
     for frame, present in enumerate(posed_truths(truth)):
         for item in present:
             if not item.ignored:

@@ -88,14 +88,12 @@ def write_cases(data: Path, results: Path, file: Path) -> int:
 def _real_cases(data: Path, results: Path) -> Iterator[Case]:
     """What the rows of a benchmark tracked: each sequence, all classes and each class alone."""
     from composenet.commands.score_cache import kept_sequences
-    from composenet.commands.scoring import sequence_folders, truth_of
+    from composenet.commands.scoring import sequence_folders
     from composenet.metrics.evaluate import tracking_frames
-    from composenet.sequences import open_sequence
 
     folders = {folder.name: folder for folder in sequence_folders(data)}
-    truths = {name: truth_of(folder, open_sequence(folder)) for name, folder in folders.items()}
     for name, method, scored in kept_sequences(results / "sequences"):
-        truth = truths[name]
+        truth = scored.truth(folders[name])
         yield _case(f"{method} {name}", tracking_frames(truth, scored.tracked))
         for class_id in sorted({item.class_id for item in truth.objects}):
             ids = {item.gt_id for item in truth.objects if item.class_id == class_id}

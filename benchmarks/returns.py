@@ -24,13 +24,12 @@ from figures import read_scores
 from gains import captioned, pasted
 from PIL import Image
 
-from composenet.commands.failures import frame_with_boxes
-from composenet.commands.scoring import ScoredSequence, sequence_folders, truth_of
+from composenet.commands.failures import frame_of, frame_with_boxes
+from composenet.commands.scoring import ScoredSequence, sequence_folders
 from composenet.geometry.box import OrientedBox
 from composenet.metrics.evaluate import posed_truths, tracking_frames
 from composenet.metrics.records import MATCH_GATE_M
 from composenet.metrics.returns import Outcome, Return, returns
-from composenet.sequences import open_sequence
 from composenet.synth.sequence_folder import read_truth
 from composenet.view.figures import ColoredBox, track_color
 
@@ -97,7 +96,7 @@ def counted_objects(folder: Path) -> int:
 
 def returns_of(folder: Path, item: ScoredSequence) -> tuple[Return, ...]:
     """The returns of one sequence."""
-    truth = truth_of(folder, open_sequence(folder))
+    truth = item.truth(folder)
     return returns(truth, item.tracked)
 
 
@@ -179,7 +178,8 @@ def _tile(
     folder: Path, scored: ScoredSequence, place: int, track_id: int, caption: str
 ) -> Image.Image:
     """A frame with the boxes of what is seen; that of one track thick and with its name."""
-    frame = next(frame for frame in open_sequence(folder) if frame.index == place)
+    frame = frame_of(folder, place, scored)
+    assert frame is not None
     boxes = []
     for entry in scored.tracked[place]:
         S, name = entry.S_world_canonical, f"{entry.class_name} {entry.track_id}"

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from composenet.records import Box
+from composenet.tracking import visibility as shown_by
 from composenet.tracking.canonical import CanonicalModel
-from composenet.tracking.visibility import (
-    surface_in_world,
-    visibility,
-)
+from composenet.tracking.visibility import surface_in_world
 from tracking_scenes import CHAIR, WALL_M, block, frame, screen, thing
 
 CHAIR_AT_3 = thing(3.0, 0.0)
+visibility = partial(shown_by.visibility, max_depth_m=5.5)
 
 
 def surface(estimate):

@@ -211,7 +211,11 @@ def remembered(
     extents = np.reshape([box.extents for box in boxes], (-1, 3))
     center, extents = center @ R, extents @ np.abs(R)  # R is a quarter turn
     seen = volume.coords[: volume.n_seen] * volume.voxel_size_m
-    inside = (np.abs(seen - center[:, None]) <= extents[:, None] / 2).all(axis=2).sum(axis=1)
+    first, last = seen.min(axis=0, initial=np.inf), seen.max(axis=0, initial=-np.inf)
+    near = (center - extents / 2 <= last).all(axis=1) & (center + extents / 2 >= first).all(axis=1)
+    inside = np.zeros(len(center), np.int64)
+    for box in np.flatnonzero(near):  # few of all tracks
+        inside[box] = (np.abs(seen - center[box]) <= extents[box] / 2).all(axis=1).sum()
     keep = inside >= config.min_cluster_voxels
     new = like.center.new_tensor
     zeros = like.class_probabilities.new_zeros(int(keep.sum()), like.class_probabilities.shape[1])

@@ -37,7 +37,8 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One frame of a result. T_world_camera: (4, 4). objects: every track not ended before."""
+    """One frame of a result. T_world_camera: (4, 4). objects: every track that was told
+    of."""
 
     index: int
     name: str

@@ -128,8 +128,7 @@ class Frame:
     index: the frame's number; memory and gates count frames by it, so it grows by about one from
     frame to frame. depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or
     beyond FARTHEST_M is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3)
-    uint8, RGB, or None (resized to the depth image where the source's differs). T_world_camera:
-    (4, 4) float64, world levelled (z up). pose_known: False where that world is the camera's own
+    uint8, RGB, or None. T_world_camera: (4, 4) float64, world levelled (z up). pose_known: False where that world is the camera's own
     levelled frame, so that places in different frames cannot be compared.
     """
 
@@ -370,8 +369,10 @@ class ObjectFrameTruth:
 @dataclass(frozen=True)
 class SequenceTruth:
     """Ground truth of a sequence: objects, and for each frame (same order as the frames)
-    every object, whether visible or not."""
+    every object, whether visible or not. image_size: width, height of the id images.
+    T_world_source: (4, 4), maps the world that it was written in to the one that it is in."""
 
     objects: tuple[ObjectTruth, ...]
     frames: tuple[tuple[ObjectFrameTruth, ...], ...]
-    image_size: tuple[int, int] = field(default=(320, 240))  # width, height of the id images
+    image_size: tuple[int, int] = field(default=(320, 240))
+    T_world_source: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))

@@ -58,8 +58,9 @@ def run_eval(
     unknown = sorted(set(variants) - set(WAYS))
     if unknown:
         raise DataError(f"--variants {unknown[0]!r}: expected some of {', '.join(WAYS)}")
-    if predictions is not None and config is not None:
-        raise DataError("--config is for tracking, not for --predictions; give it to `track`")
+    for option, value in (("--config", config), ("--weights", weights)):
+        if predictions is not None and value is not None:
+            raise DataError(f"{option} is for tracking, not for --predictions; give it to `track`")
     chosen = load_config(config) if config else None
     claim_scores(out, data)
     if predictions is not None:

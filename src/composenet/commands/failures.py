@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from PIL import Image
 
-from composenet.commands.scoring import ScoredSequence, truth_of
+from composenet.commands.scoring import ScoredSequence, true_cameras
 from composenet.geometry.box import OrientedBox
 from composenet.geometry.camera import resize_camera
 from composenet.metrics.clear import FrameErrors
@@ -66,16 +66,24 @@ def worst_frames(
 
 def picture(failure: Failure, scored: ScoredSequence) -> Image.Image | None:
     """The frame's image with its boxes; None where the frame cannot be read."""
-    sequence = open_sequence(failure.folder)
-    frame = next((frame for frame in sequence if frame.index == failure.frame), None)
+    frame = frame_of(failure.folder, failure.frame, scored)
     if frame is None:
         return None
-    truth = truth_of(failure.folder, sequence)
     boxes = [
-        *_true_boxes(posed_truths(truth)[failure.frame], failure.errors),
+        *_true_boxes(posed_truths(scored.truth(failure.folder))[failure.frame], failure.errors),
         *_tracked_boxes(scored.tracked[failure.frame], failure.errors),
     ]
     return frame_with_boxes(frame, boxes)
+
+
+def frame_of(folder: Path, index: int, scored: ScoredSequence) -> Frame | None:
+    """A frame of the sequence, its camera where it truly is in the world of what was tracked; None
+    where it cannot be read."""
+    frame = next((frame for frame in open_sequence(folder) if frame.index == index), None)
+    if frame is None:
+        return None
+    (T_source_camera,) = true_cameras(folder, [frame.name])
+    return replace(frame, T_world_camera=scored.T_world_source @ T_source_camera)
 
 
 def frame_with_boxes(frame: Frame, boxes: Sequence[ColoredBox]) -> Image.Image:

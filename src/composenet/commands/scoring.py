@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +50,20 @@ WAYS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class ScoredSequence:
-    """One sequence. tracked: what was scored, in the levelled world; errors: of the tracks. Both
-    have one entry for every frame of the ground truth. completions: of the tracks, empty where
-    they have no reconstructions."""
+    """One sequence. tracked: what was scored; errors: of the tracks. Both have one entry for every
+    frame of the ground truth. completions: of the tracks, empty where they have no
+    reconstructions. T_world_source: (4, 4), maps the world of the sequence's poses to that of what
+    was tracked."""
 
     scores: SequenceScores
     tracked: tuple[tuple[TrackedObject, ...], ...]
     errors: tuple[FrameErrors, ...]
     completions: tuple[TrackletCompletion, ...] = ()
+    T_world_source: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+    def truth(self, folder: Path) -> SequenceTruth:
+        """The ground truth of its folder, in the world of what was tracked."""
+        return moved_truth(read_truth(folder), self.T_world_source)
 
 
 def score_tracks(
@@ -69,15 +75,15 @@ def score_tracks(
     seconds_per_frame: Sequence[float] = (),
     canonical: Mapping[int, FloatArray] | None = None,
 ) -> ScoredSequence:
-    """Score what was tracked, and keep it. canonical: (64, 64, 64) in 0..1, reconstructions by
-    track id. See `evaluate_sequence`."""
+    """Score what was tracked in the truth's world, and keep it. canonical: (64, 64, 64) in 0..1,
+    reconstructions by track id. See `evaluate_sequence`."""
     scores = evaluate_sequence(
         truth, tracked, estimates, frames=frames, seconds_per_frame=seconds_per_frame
     )
     errors = frame_errors(tracking_frames(truth, tracked))
     completions = tracklet_completions(truth, tracked, canonical or {})
     kept = tuple(tuple(entries) for entries in tracked)
-    return ScoredSequence(scores, kept, tuple(errors), completions)
+    return ScoredSequence(scores, kept, tuple(errors), completions, truth.T_world_source)
 
 
 def sequence_folders(data: Path) -> list[Path]:
@@ -127,7 +133,11 @@ def moved_truth(truth: SequenceTruth, T_level_source: FloatArray) -> SequenceTru
         box = Box((low + high) / 2, high - low)
         return replace(entry, T_world_object=T_world_object, box=box)
 
-    return replace(truth, frames=tuple(tuple(map(moved, frame)) for frame in truth.frames))
+    return replace(
+        truth,
+        frames=tuple(tuple(map(moved, frame)) for frame in truth.frames),
+        T_world_source=T_level_source @ truth.T_world_source,
+    )
 
 
 def claim_scores(out: Path, data: Path) -> None:

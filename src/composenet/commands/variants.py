@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import WAYS, ScoredSequence, score_tracks, truth_of
 from composenet.config import Config
+from composenet.metrics.completion import OCCUPIED
+from composenet.objects import CANONICAL_CELLS
 from composenet.pipeline import FrameResult, ObjectTracker, load_tracker, select_device
-from composenet.records import Frame, SequenceTruth
+from composenet.records import Frame, ObjectEstimate, SequenceTruth, TrackedObject
 from composenet.sequences import SequenceOptions, open_sequence
 
 
@@ -37,7 +41,7 @@ def score_variants(
     torch.set_num_threads(1)
     eyes = load_tracker(weights, device=device, config=config)
     trackers = {variant: eyes.restart(**WAYS[variant]) for variant in variants}
-    results: dict[str, dict[int, FrameResult]] = {variant: {} for variant in variants}
+    results: dict[str, dict[int, _Kept]] = {variant: {} for variant in variants}
     sequence = open_sequence(folder, options=SequenceOptions(odometry=odometry))
     frames = list(sequence)
     seconds = {variant: np.zeros(len(frames)) for variant in variants}
@@ -45,7 +49,8 @@ def score_variants(
     def follow(place: int, followers: Mapping[str, ObjectTracker]) -> None:
         sight = eyes.look(frames[place])
         for variant, tracker in followers.items():
-            result = results[variant][frames[place].index] = tracker.follow(sight)
+            result = tracker.follow(sight)
+            results[variant][frames[place].index] = _Kept.of(result)
             seconds[variant][place] += sum(result.timings_ms.values()) / 1e3
 
     for place in range(len(frames)):
@@ -62,26 +67,66 @@ def score_variants(
     }
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """What the scorer needs of a frame's result, in little memory: grids as bits."""
+
+    objects: tuple[TrackedObject, ...]
+    estimates: tuple[ObjectEstimate, ...]
+    occupied: tuple[NDArray[np.uint8], ...]
+
+    @staticmethod
+    def of(result: FrameResult) -> _Kept:
+        nothing = np.zeros((0, 3), np.float32)
+        return _Kept(
+            result.objects,
+            tuple(replace(e, points_world=nothing, canonical=nothing) for e in result.estimates),
+            tuple(np.packbits(e.canonical >= OCCUPIED) for e in result.estimates),
+        )
+
+    def scored(self) -> tuple[ObjectEstimate, ...]:
+        """The estimates, with grids of 0 and 1."""
+        shape = (CANONICAL_CELLS,) * 3
+        grids = [np.unpackbits(bits).reshape(shape).astype(np.float32) for bits in self.occupied]
+        return tuple(replace(e, canonical=g) for e, g in zip(self.estimates, grids, strict=True))
+
+
+class _Estimates(Sequence[tuple[ObjectEstimate, ...]]):
+    """Of every frame; each frame's are made when they are looked at."""
+
+    def __init__(self, kept: Sequence[_Kept | None]) -> None:
+        self._kept = kept
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __getitem__(self, index: Any) -> Any:
+        kept = self._kept[index]
+        return () if kept is None else kept.scored()
+
+
 def _score(
     truth: SequenceTruth,
     frames: Sequence[Frame],
     tracker: ObjectTracker,
-    results: Mapping[int, FrameResult],
+    results: Mapping[int, _Kept],
     seconds: Sequence[float],
 ) -> ScoredSequence:
     """One variant over one sequence; results by frame index."""
-    tracked = {index: result.objects for index, result in results.items()}
     tracks = tracker.tracks()
+    tracked: dict[int, Sequence[TrackedObject]] = {i: seen.objects for i, seen in results.items()}
     if tracker.config.tracking.offline:
-        histories = [entry for track in tracks for entry in track.history]
-        tracked = {i: tuple(e for e in histories if e.frame_index == i) for i in results}
+        entries: dict[int, list[TrackedObject]] = {index: [] for index in results}
+        for entry in (entry for track in tracks for entry in track.history):
+            entries[entry.frame_index].append(entry)
+        tracked = {**entries}
     blank = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
     shown = {frame.index: frame for frame in frames}
     every = range(len(truth.frames))  # frames that could not be used count as seen by nobody
     return score_tracks(
         truth,
         [tracked.get(i, ()) for i in every],
-        [results[i].estimates if i in results else () for i in every],
+        _Estimates([results.get(i) for i in every]),
         frames=[shown.get(i, blank) for i in every],
         seconds_per_frame=seconds,
         canonical={track.track_id: track.canonical for track in tracks},

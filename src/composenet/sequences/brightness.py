@@ -125,8 +125,8 @@ def _level(image: _Image) -> _Level:
 
 @dataclass(frozen=True)
 class LitPair:
-    """Two images one after the other. T_before_now: (4, 4), the second camera in the axes of the
-    first."""
+    """Two images one after the other. A pose of the two, T_before_now, is (4, 4), the second camera
+    in the axes of the first."""
 
     before: LitView
     now: LitView

@@ -193,7 +193,7 @@ class Tracklet:
         return mean_box(self.box, estimate.box, share)
 
     def _record(self, frame_index: int, observed: bool) -> None:
-        """The entry of a frame. Its arrays are the tracklet's own: they cannot be written to."""
+        """The entry of a frame. Its arrays are shared, and cannot be written to any more."""
         S = self.S_world_canonical
         for array in (self.box.center, self.box.extents, S.R, S.t, self.extents_m):
             array.setflags(write=False)

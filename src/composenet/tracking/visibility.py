@@ -64,7 +64,7 @@ def surface_in_world(
 
 
 def visibility(
-    points_world: FloatArray, spacing_m: float, frame: Frame, max_depth_m: float = 7.0
+    points_world: FloatArray, spacing_m: float, frame: Frame, max_depth_m: float
 ) -> Visibility:
     """How a surface of points stands against the depth image.
 

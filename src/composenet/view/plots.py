@@ -1,4 +1,4 @@
-"""Pictures of a whole recording or data set: top view, contact sheet, scatter of points."""
+"""Pictures of a whole recording or data set: top view, contact sheet."""
 
 from __future__ import annotations
 
@@ -144,52 +144,6 @@ def contact_sheet(
             middle = (x + cell[0] // 2, y + cell[1])
             draw.text(middle, labels[n], fill=(40, 44, 52), font=font, anchor="ma")
     return sheet
-
-
-def scatter(
-    points: FloatArray,
-    colors: NDArray[np.uint8] | None = None,
-    azimuth_deg: float = 35.0,
-    elevation_deg: float = 25.0,
-    size: int = 320,
-    radius: int = 1,
-) -> Image.Image:
-    """Orthographic picture of points (P, 3), z up, nearer ones on top.
-
-    colors: (P, 3) uint8, by height where not given. The viewer stands at azimuth (about z, from
-    +x towards +y) and elevation. radius: of a point, pixels.
-    """
-    image = np.full((size, size, 3), 255, dtype=np.uint8)
-    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    if len(points) == 0:
-        return Image.fromarray(image)
-    a, e = np.radians([azimuth_deg, elevation_deg])
-    right = np.array([-np.sin(a), np.cos(a), 0])
-    back = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-    axes = np.stack([right, np.cross(back, right), back])
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    reach = max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-9)
-    seen = (points - middle) @ axes.T / reach
-    order = np.argsort(seen[:, 2])
-    shade = 0.6 + 0.4 * (seen[order, 2:] + 1) / 2
-    paint = (_by_height(points) if colors is None else colors)[order] * shade
-    u = np.round((seen[order, 0] * 0.48 + 0.5) * (size - 1)).astype(int)
-    v = np.round((0.5 - seen[order, 1] * 0.48) * (size - 1)).astype(int)
-    for du in range(-radius, radius + 1):
-        for dv in range(-radius, radius + 1):
-            image[np.clip(v + dv, 0, size - 1), np.clip(u + du, 0, size - 1)] = paint
-    return Image.fromarray(image)
-
-
-def _by_height(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    z = points[:, 2]
-    share = ((z - z.min()) / max(float(np.ptp(z)), 1e-9))[:, None]
-    return (1 - share) * np.array([60, 90, 190]) + share * np.array([240, 150, 60])
-
-
-def occupied_points(grid: FloatArray, threshold: float = 0.5) -> NDArray[np.float64]:
-    """(P, 3) canonical cell centres of an (N, N, N) grid at or above the threshold."""
-    return (np.argwhere(grid >= threshold) + 0.5) / grid.shape[0] - 0.5
 
 
 def state_segments(

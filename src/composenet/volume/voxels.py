@@ -74,10 +74,11 @@ def quarter_turn(T_world_camera: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True)
-def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
-    """Edge-preserving mean: each pixel becomes the mean of the neighbours whose depth differs
-    by less than floor_m + sensor_noise * z^2 metres (depth noise grows with the square of
+def smooth_depth(depth):
+    """Edge-preserving mean: each pixel becomes the mean of the neighbours, up to 2 pixels away,
+    whose depth differs by less than 0.015 + 0.006 z^2 metres (depth noise grows with the square of
     distance). (H, W) float32 -> the same; invalid pixels (not positive, not finite) become 0."""
+    radius = 2
     height, width = depth.shape
     out = np.zeros_like(depth)
     padded = np.zeros((height + 2 * radius, width + 2 * radius), depth.dtype)
@@ -86,7 +87,7 @@ def smooth_depth(depth, radius=2, sensor_noise=0.006, floor_m=0.015):
     for v in range(height):
         row = depth[v]
         for u in range(width):
-            limit[u] = floor_m + sensor_noise * row[u] * row[u] if 0 < row[u] < np.inf else -1.0
+            limit[u] = 0.015 + 0.006 * row[u] * row[u] if 0 < row[u] < np.inf else -1.0
             total[u], count[u] = 0.0, 0.0
         for y in range(v, v + 2 * radius + 1):
             for x in range(2 * radius + 1):
