@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from composenet.errors import SequenceError
 from composenet.geometry.camera import back_project, pixel_rays
 from composenet.geometry.transform import apply_T, make_T
 from composenet.records import Camera
@@ -16,6 +17,7 @@ from composenet.sequences.leveling import (
     Surface,
     find_floor,
     find_up,
+    level_camera,
     level_world,
     merge,
     surface_of,
@@ -278,3 +280,87 @@ def test_without_a_floor_under_it_no_height_is_known() -> None:
     assert known.height_m == pytest.approx(1.4, abs=0.02)
     T_level = level_world(surface, np.array([0.0, 0, 1]), np.array([0.0, 0, -1]))
     assert any("no floor found" in note for note in T_level[1])
+
+
+UP = np.array([0.0, 0, 1])
+
+
+def seen_above(height_m: float, T_camera: np.ndarray | None = None) -> tuple[Surface, np.ndarray]:
+    """What four views of the room show above a height, and where the camera's top points.
+    T_camera: (4, 4) how the camera is turned in its mount."""
+    surfaces, ups = [], []
+    for yaw in (0, 100, 200, 290):
+        T = make_T(looking(yaw, 25), [-1.0, 0.2, 1.4])
+        surfaces.append(surface_of(room_depth(T), CAMERA).moved(T))
+        turn = np.eye(4) if T_camera is None else T_camera
+        ups.append(T[:3, :3] @ turn[:3, :3] @ CAMERA_UP)
+    every = merge(surfaces)
+    shown = every.points[:, 2] > height_m
+    kept = Surface(every.points[shown], every.normals[shown], every.weights[shown])
+    return kept, np.mean(ups, axis=0)
+
+
+@pytest.mark.parametrize("gravity", [None, -UP])
+def test_a_world_that_is_level_keeps_its_floor_where_none_is_seen(gravity) -> None:
+    surface, up = seen_above(0.05)
+    standing = surface.points[:, 2] < 0.7  # without the table top nothing level is left
+    standing |= surface.normals[:, 2] < 0.9
+    surface = Surface(*(v[standing] for v in (surface.points, surface.normals, surface.weights)))
+    T, notes = level_world(surface, up, gravity, own_floor_m=0.0)
+    assert abs(T[2, 3]) < 0.05 and any("own world is taken" in note for note in notes)
+    T, notes = level_world(surface, up, gravity)
+    assert T[2, 3] < -0.05 and any("lowest surface" in note for note in notes)
+
+
+def test_a_floor_above_that_of_a_level_world_is_doubted() -> None:
+    surface, up = seen_above(0.7)
+    T, notes = level_world(surface, up, None, own_floor_m=0.0)
+    assert T[2, 3] == pytest.approx(-0.75, abs=0.02)  # the table's top
+    assert any("--levelled" in note and "0.75 m above" in note for note in notes)
+    whole, up = seen_above(-1.0)
+    for own_floor_m in (None, 0.0, 0.05, 0.5):  # there is none, it is right, or things lie below
+        T, notes = level_world(whole, up, None, own_floor_m)
+        assert T[2, 3] == pytest.approx(0, abs=0.01) and notes == []
+    tilted = make_T(Rotation.from_euler("x", 20, degrees=True).as_matrix(), np.zeros(3))
+    _, notes = level_world(surface.moved(tilted), tilted[:3, :3] @ up, None, own_floor_m=0.0)
+    assert not any("--levelled" in note for note in notes)  # no level world
+
+
+@pytest.mark.parametrize("roll_deg", [0, 90, 180, -90])
+def test_a_level_world_that_is_turned_for_a_camera_that_hangs_is_doubted(roll_deg: int) -> None:
+    roll = make_T(Rotation.from_euler("z", roll_deg, degrees=True).as_matrix(), np.zeros(3))
+    surface, up = seen_above(-1.0, roll)
+    if abs(roll_deg) == 90:  # it does not pan
+        up = np.array([0.0, np.sign(roll_deg), 0.2])
+    T, notes = level_world(surface, up, None)
+    doubted = any("hangs sideways or upside down" in note for note in notes)
+    assert doubted == (angle_deg(T[2, :3], UP) > 45) == (roll_deg != 0)
+    assert "hangs" not in str(level_world(surface, up, -UP)[1])
+
+
+def test_gravity_that_points_up_is_told_of() -> None:
+    surface, up = seen_above(-1.0)
+    _, notes = level_world(surface, up, UP)
+    assert any("accelerometer" in note for note in notes)
+    assert "accelerometer" not in str(level_world(surface, up, -UP)[1])
+
+
+@pytest.mark.parametrize(
+    "depth", [np.full((120, 160), 1500, np.uint16), np.full((120, 160), 1500.0), np.ones((9, 9))]
+)
+def test_a_live_camera_is_levelled_by_metres(depth: np.ndarray) -> None:
+    with pytest.raises(SequenceError, match="level_camera: depth_m"):
+        level_camera(depth, CAMERA)
+
+
+def test_what_a_live_camera_did_not_measure_is_nothing() -> None:
+    T = make_T(looking(20, 40), [-1.0, 0.2, 1.4])
+    depth = room_depth(T)
+    expected = level_camera(depth, CAMERA)
+    assert expected is not None
+    unmeasured = depth.copy()
+    unmeasured[:10, :10] = np.inf
+    unmeasured[:10, 20:30] = np.nan
+    depth[:10, :10] = depth[:10, 20:30] = 0
+    np.testing.assert_array_equal(level_camera(unmeasured, CAMERA), level_camera(depth, CAMERA))
+    np.testing.assert_allclose(level_camera(unmeasured, CAMERA), expected, atol=0.01)

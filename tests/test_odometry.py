@@ -205,6 +205,39 @@ def test_it_begins_with_the_first_frame_that_shows_something() -> None:
     assert first[2, :3] @ true[2, :3] > np.cos(np.radians(0.5))
 
 
+def hand(index: int) -> np.ndarray:
+    """Something uneven before the camera."""
+    noise = np.random.default_rng(index).normal(0, 0.003, NOTHING.shape)
+    return (0.3 + 0.02 * np.sin(np.arange(CAMERA.width) / 9) + noise).astype(np.float32)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_a_hand_at_first_loses_nothing_but_as_many_frames_again(frames: int, capfd) -> None:
+    odometry, number = Odometry(), len(SWAY)
+    told = [odometry(hand(i), CAMERA) for i in range(frames)]
+    told += [odometry(frame.depth_m, CAMERA) for frame in SWAY]
+    way = odometry.way()
+    assert told[0] is not None and len(way) == frames + number
+    assert [T is None for T in way] == [True] * 2 * frames + [False] * (number - frames)
+    for T, frame in zip(way[2 * frames :], SWAY[frames:], strict=True):
+        assert T is not None
+        assert_same(inverse_T(way[2 * frames]) @ T, from_first(frame, SWAY[frames]))
+    assert not capfd.readouterr().err  # of the library that aligns
+
+
+def test_a_way_is_not_begun_anew_for_a_few_frames_or_after_a_long_one() -> None:
+    odometry = FromFirst()
+    for frame in SWAY[:4]:
+        assert odometry(frame.depth_m) is not None
+    assert [odometry(hand(i)) for i in range(4)] == [None] * 4
+    T = odometry(SWAY[4].depth_m)
+    assert T is not None
+    assert_same(T, from_first(SWAY[4], SWAY[0]), metres=0.02)
+    for _ in range(30):
+        assert odometry(SWAY[4].depth_m) is not None
+    assert [odometry(hand(i)) for i in range(40)] == [None] * 40
+
+
 def test_a_recording_gets_poses_in_a_levelled_world(tmp_path: Path) -> None:
     folder = save(tmp_path / "walk", SWAY)
     given = open_sequence(folder)

@@ -1115,3 +1115,30 @@ def test_a_recording_held_sideways_is_told_of(tmp_path, roll_deg: float, gravity
 
 def test_names_with_digits_that_are_no_numbers_have_an_order() -> None:
     assert in_order(["b10", "b²", "b2"]) == ["b2", "b10", "b²"]
+
+
+def test_a_world_that_is_said_to_be_level_is_left_as_it_is(tmp_path):
+    root = write_plain(tmp_path / "r")
+    for path in (root / "pose").iterdir():
+        shifted = np.loadtxt(path)
+        shifted[:3, 3] += [5000.0, 0, 0.3]
+        save_text(path, shifted)
+    sought = open_sequence(root)
+    stated = open_sequence(root, options=SequenceOptions(levelled=True))
+    x = stated.T_level_source[0, 3]
+    assert x == sought.T_level_source[0, 3] and abs(x) > 4000  # single precision wants it near
+    np.testing.assert_array_equal(stated.T_level_source, make_T(np.eye(3), [x, 0, 0]))
+    assert abs(sought.T_level_source[2, 3]) > 0.1
+    for frame, index in zip(stated, range(COUNT), strict=True):
+        T = pose(index)
+        T[:3, 3] += [5000.0 + x, 0, 0.3]
+        np.testing.assert_allclose(frame.T_world_camera, T, atol=1e-9)
+
+
+def test_what_world_is_level_must_be_the_recordings(tmp_path):
+    root = write_plain(tmp_path / "r")
+    with pytest.raises(SequenceError, match=r"--levelled.*--odometry does without"):
+        open_sequence(root, options=SequenceOptions(levelled=True, odometry=True))
+    shutil.rmtree(root / "pose")
+    with pytest.raises(SequenceError, match=r"--levelled.*it has none"):
+        open_sequence(root, options=SequenceOptions(levelled=True))

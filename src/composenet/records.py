@@ -128,8 +128,9 @@ class Frame:
     index: the frame's number; memory and gates count frames by it, so it grows by about one from
     frame to frame. depth_m: (H, W) float32, z-depth, 0 = invalid; what is negative, not finite or
     beyond FARTHEST_M is set to 0 (a sensor may say so that it measured nothing). color: (H, W, 3)
-    uint8, RGB, or None. T_world_camera: (4, 4) float64, world levelled (z up). pose_known: False where that world is the camera's own
-    levelled frame, so that places in different frames cannot be compared.
+    uint8, RGB, or None. T_world_camera: (4, 4) float64, world levelled (z up). pose_known: False
+    where that world is the camera's own levelled frame, so that places in different frames cannot
+    be compared.
     """
 
     index: int

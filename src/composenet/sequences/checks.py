@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from composenet.errors import SequenceError
 from composenet.geometry.camera import back_project, project
@@ -109,14 +110,16 @@ def lost_cameras(path: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]
     return [frame for frame, is_lost in zip(frames, lost, strict=True) if is_lost]
 
 
-def nearer(camera_centers: FloatArray) -> tuple[FloatArray, list[str]]:
-    """(4, 4) the shift that brings cameras to the origin where they are over 1 km from it, as with
-    a map's coordinates, which single precision cannot tell apart; else none. And a note of it.
+def nearer(camera_centers: FloatArray) -> tuple[NDArray[np.float64], list[str]]:
+    """(4, 4) the shift that brings cameras near the origin along the axes along which they are over
+    1 km from it, as with a map's coordinates, which single precision cannot tell apart. And a note
+    of it.
 
     camera_centers: (N, 3), the recording's own world.
     """
     middle = np.round(np.median(camera_centers, axis=0))
-    if np.abs(middle).max() <= MAX_SPAN_M:
+    middle[np.abs(middle) <= MAX_SPAN_M] = 0
+    if not middle.any():
         return np.eye(4), []
     x, y, z = middle
     note = f"the world's origin was moved to the cameras, by ({x:.0f}, {y:.0f}, {z:.0f}) m"
@@ -189,18 +192,25 @@ def _centers(frames: Sequence[SourceFrame]) -> FloatArray:
     return np.array(centers).reshape(-1, 3)
 
 
-def floor_notes(camera_centers: FloatArray) -> list[str]:
+def may_stand_on(height_m: float) -> bool:
+    """Whether a camera so high above a plane may have it for a floor."""
+    return 0.25 <= height_m <= 4
+
+
+def floor_notes(camera_centers: FloatArray, gravity_known: bool) -> list[str]:
     """A note when the lowest plane is implausibly close under the camera, or above it.
 
     camera_centers: (N, 3), levelled world with the supposed floor at z = 0.
     """
     height_m = float(np.median(camera_centers[:, 2]))
-    if 0.25 <= height_m <= 4:
+    if may_stand_on(height_m):
         return []
+    upright = (
+        "" if gravity_known else "the images may not be upright (gravity-direction.txt helps), "
+    )
     return [
         f"the camera is {_metres(height_m)} above the lowest plane seen: the floor may not have "
-        "been in view, the images may not be upright (gravity-direction.txt helps), or the scale "
-        "of poses and depth differ"
+        f"been in view, {upright}or the scale of poses and depth differ"
     ]
 
 

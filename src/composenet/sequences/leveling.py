@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from composenet.geometry.camera import back_project
 from composenet.geometry.transform import make_T, rotation_onto
-from composenet.records import Camera, FloatArray
+from composenet.records import Camera, FloatArray, usable_depth
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 """the camera's top in its own axes"""
@@ -32,6 +32,7 @@ _BENEATH_M, _BENEATH_MAX_SHARE = 0.1, 0.05  # of all that is seen; under a floor
 _SEAT_M, _BENEATH_SMALL_SHARE = 0.38, 0.005  # a floor that is hardly seen lies that far down
 _MIN_SIDEWAYS_SHARE, _MIN_SECOND_WALL = 0.3, 0.1  # of all normals; of those of walls
 _GRAVITY_DEG = 6.0
+_LEVEL = float(np.cos(np.radians(3)))  # a world that is turned by less is z-up already
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,7 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
     roughly_up = roughly_up / length
     candidates = _directions(1500)
     candidates = candidates[candidates @ roughly_up > np.cos(np.radians(_CONE_DEG))]
-    pick = np.random.default_rng(0).permutation(len(surface.weights))[:2000]
-    cosines = candidates @ surface.normals[pick].T
-    score = (cosines > np.cos(np.radians(_PARALLEL_DEG))) @ surface.weights[pick]
-    sideways = np.abs(cosines) < np.sin(np.radians(_SIDEWAYS_DEG))
-    score = (score + 0.5 * (sideways @ surface.weights[pick])) * (candidates @ roughly_up)
+    score = _levelness(surface, candidates) * (candidates @ roughly_up)
     start = up = candidates[np.argmax(score)]
     for window_deg in _REFINE_DEG:
         near = surface.normals @ up > np.cos(np.radians(window_deg))
@@ -123,6 +120,16 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
         up = surface.weights[near] @ surface.normals[near]
         up = up / np.linalg.norm(up)
     return _plane_refined(surface, up)
+
+
+def _levelness(surface: Surface, candidates: FloatArray) -> NDArray[np.float64]:
+    """How much speaks for each of some unit up directions (K, 3): the normals that face that way,
+    and half of those square to it, by weight, of up to 2000 points."""
+    pick = np.random.default_rng(0).permutation(len(surface.weights))[:2000]
+    cosines = candidates @ surface.normals[pick].T
+    upward = cosines > np.cos(np.radians(_PARALLEL_DEG))
+    sideways = np.abs(cosines) < np.sin(np.radians(_SIDEWAYS_DEG))
+    return np.asarray((upward + 0.5 * sideways) @ surface.weights[pick])
 
 
 def _square_to_walls(surface: Surface, up: FloatArray) -> NDArray[np.float64] | None:
@@ -206,7 +213,10 @@ def _weight_below(surface: Surface, z: FloatArray) -> NDArray[np.float64]:
 
 
 def level_world(
-    surface: Surface, camera_up: FloatArray, gravity: FloatArray | None
+    surface: Surface,
+    camera_up: FloatArray,
+    gravity: FloatArray | None,
+    own_floor_m: float | None = None,
 ) -> tuple[NDArray[np.float64], list[str]]:
     """`T_level_source` (4, 4) of a recording with poses, and notes for the user.
 
@@ -214,10 +224,15 @@ def level_world(
     top points on average. Up is, in this order: against `gravity`; what `find_up` finds; the
     world's axis within 45 degrees of `camera_up` and nearest to it; `camera_up`. The world is
     turned by the smallest rotation that brings up to +z (so one that is z-up already is
-    hardly changed) and shifted along z only, so that the floor is z = 0.
+    hardly changed) and shifted along z only, so that the floor is z = 0. own_floor_m: z that may
+    be the floor if the world is z-up, None where none may; it is where none is seen.
     """
     seen = find_up(surface, camera_up if gravity is None else -gravity)
-    notes = [] if gravity is None else _gravity_notes(gravity, seen)
+    notes = (
+        _sideways_notes(surface, seen)
+        if gravity is None
+        else _gravity_notes(surface, gravity, seen)
+    )
     up = seen if gravity is None else -gravity
     if up is None:
         axes = np.concatenate([np.eye(3), -np.eye(3)])
@@ -227,16 +242,48 @@ def level_world(
         notes.append("no horizontal plane found: up is guessed from how the camera is held")
     R = rotation_onto(up, (0, 0, 1)) if np.linalg.norm(up) > 1e-6 else np.eye(3)
     turned = surface.moved(make_T(R, np.zeros(3)))
-    floor = find_floor(turned)
-    if floor is None:
-        lowest = turned.points[:, 2]
-        floor = float(np.percentile(lowest, 2)) if len(lowest) else 0.0
+    floor, z = find_floor(turned), turned.points[:, 2]
+    lowest = float(np.percentile(z, 2)) if len(z) else 0.0
+    if own_floor_m is not None and (R[2, 2] < _LEVEL or lowest < own_floor_m - _BENEATH_M):
+        own_floor_m = None
+    if floor is None and own_floor_m is not None:
+        floor = own_floor_m
+        notes.append("no floor found: z = 0 of the recording's own world is taken for it")
+    elif floor is None:
+        floor = lowest
         notes.append("no floor found: z = 0 is the lowest surface seen")
+    elif own_floor_m is not None and floor > own_floor_m + _BENEATH_M:
+        notes.append(
+            f"the floor that was found is {floor - own_floor_m:.2f} m above z = 0 of the "
+            "recording's own world, which has z up, too: if its floor is at z = 0, --levelled "
+            "leaves it there"
+        )
     return make_T(R, (0, 0, -floor)), notes
 
 
-def _gravity_notes(gravity: FloatArray, up: FloatArray | None) -> list[str]:
+def _sideways_notes(surface: Surface, up: FloatArray | None) -> list[str]:
+    """A note where a world is turned in which as much lies level as in what it is turned to."""
+    z = np.array([0.0, 0.0, 1.0])
+    if up is None or up @ z > np.cos(np.radians(_CONE_DEG)):
+        return []
+    own, other = _levelness(surface, np.stack([z, up]))
+    if own < other:
+        return []
+    return [
+        "by how the camera is held the world's z is not up, but what is seen would be as level if "
+        "it were: if it is, and the camera hangs sideways or upside down, --levelled (the floor at "
+        "z = 0, too) or gravity-direction.txt (0 0 -1) says so"
+    ]
+
+
+def _gravity_notes(surface: Surface, gravity: FloatArray, up: FloatArray | None) -> list[str]:
     """A note where the up that is seen is not that of gravity."""
+    with_it, against_it = _levelness(surface, np.stack([gravity, -gravity]))
+    if with_it > against_it:
+        return [
+            "by gravity-direction.txt what lies level is seen from below: it wants the direction "
+            "in which things fall, and an accelerometer at rest points the other way"
+        ]
     if up is None:
         return []
     off_deg = float(np.degrees(np.arccos(np.clip(-gravity @ up, -1, 1))))
@@ -291,7 +338,8 @@ class CameraLeveler:
 def level_camera(depth_m: FloatArray, camera: Camera) -> NDArray[np.float64] | None:
     """`T_world_camera` (4, 4) of a depth image, (H, W) metres, in a levelled world of its own: z
     up, the floor at z = 0, the camera above the origin, +x where it looks. None where the image
-    shows no floor."""
+    shows no floor. Raises SequenceError where the depth is not in metres, or not the camera's."""
+    depth_m = usable_depth("level_camera", depth_m, camera)
     leveler, T_world_camera = CameraLeveler().level(surface_of(depth_m, camera))
     return None if leveler.height_m is None else T_world_camera
 

@@ -43,6 +43,9 @@ class SequenceOptions:
     odometry: bool = False
     """camera poses from the images themselves, not from the recording (needs
     composenet[odometry])"""
+    levelled: bool = False
+    """the world of the recording's poses has z up and its floor at z = 0: it is left so, where
+    else the floor is sought in the images"""
     depth_topic: str | None = None
     """of a ROS recording: the depth images to use; default: those that lie on the colour images,
     else rectified ones"""

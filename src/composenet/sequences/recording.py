@@ -19,7 +19,7 @@ from composenet.geometry.transform import apply_T, inverse_T
 from composenet.records import Camera, Frame
 from composenet.sequences import checks
 from composenet.sequences.formats import read_source
-from composenet.sequences.images import image_size, read_color, read_depth
+from composenet.sequences.images import ImageSource, image_size, read_color, read_depth
 from composenet.sequences.leveling import (
     CAMERA_UP,
     CameraLeveler,
@@ -64,6 +64,11 @@ class RecordedSequence:
         self._source, self._options = source, options
         self._skipped: dict[int, tuple[str, str]] = {}
         self._colorless: dict[int, tuple[str, str]] = {}
+        if options.levelled and not self.own_poses:
+            raise SequenceError(
+                f"{source.path}: --levelled tells of the world of the recording's poses, and "
+                + ("--odometry does without" if options.odometry else "it has none")
+            )
         self._depth_scale = options.depth_scale or source.depth_scale
         usable = (frame for frame in source.frames[::stride] if self._usable(frame))
         self._frames = list(islice(usable, max_frames))
@@ -267,13 +272,20 @@ class RecordedSequence:
             T_source = np.stack([f.T_source_camera for f in self._frames])  # type: ignore[misc]
             T_near_source, notes = checks.nearer(T_source[:, :3, 3])
             self._notes += notes
+            if self._options.levelled:
+                self.T_level_source = T_near_source
+                return
             T_all = T_near_source @ T_source
             merged = merge([s.moved(T_all[p]) for p, s in surfaces.items()])
             up = (T_all[:, :3, :3] @ CAMERA_UP).mean(axis=0)
-            T_level_near, notes = level_world(merged, up, self._source.gravity)
+            may_stand = checks.may_stand_on(float(np.median(T_source[:, 2, 3])))
+            own_floor_m = float(T_near_source[2, 3]) if may_stand and self.own_poses else None
+            gravity = self._source.gravity
+            T_level_near, notes = level_world(merged, up, gravity, own_floor_m)
             self._notes += notes
-            self._notes += checks.floor_notes(apply_T(T_level_near, T_all[:, :3, 3]))
-            if self._source.gravity is None:
+            centers = apply_T(T_level_near, T_all[:, :3, 3])
+            self._notes += checks.floor_notes(centers, gravity is not None)
+            if gravity is None:
                 self._notes += checks.upright_notes(T_all)
             self.T_level_source = T_level_near @ T_near_source
 
@@ -319,11 +331,10 @@ class RecordedSequence:
         files = [frame.color for frame in self._frames if frame.color is not None]
         if self._source.levelled or not files:
             return None
-        size, to = (0, 0), (self.camera.width, self.camera.height)
-        with suppress(SequenceError):
-            size = image_size(files[0])
-        if not all(size):
+        size = next(filter(None, map(_size_if_readable, files)), None)
+        if size is None:
             return None
+        to = (self.camera.width, self.camera.height)
         if self._source.color_camera is not None:
             return self._source.color_camera.stretched(size, to)
         images = []
@@ -349,6 +360,12 @@ class RecordedSequence:
             f"{self._source.path}: none of its frames can be used "
             f"({len(self._skipped)} tried; {name}: {reason}){way_out}"
         )
+
+
+def _size_if_readable(source: ImageSource) -> tuple[int, int] | None:
+    with suppress(SequenceError):
+        return image_size(source)
+    return None
 
 
 def open_sequence(

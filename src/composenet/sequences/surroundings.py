@@ -47,6 +47,7 @@ _SPACING_M = 0.05  # between the points of a frame that are aligned
 _NEIGHBOURS = 12
 _FAR_M = 6.0  # depth beyond this is too noisy to align
 _MIN_POINTS = 100
+_MIN_CELLS = 10  # of a map; small_gicp aligns with no smaller one
 _TURNS_DEG = (8.0, -8.0, 16.0, -16.0, 24.0, -24.0)  # about the vertical
 _NEAR_M = 0.06
 _GOOD_SHARE = 0.75  # of a frame's points near the frame before: no other guess is tried
@@ -162,7 +163,7 @@ class Surroundings:
 
     def find(self, shot: Shot) -> NDArray[np.float64] | None:
         """The pose (4, 4) of the next frame; None where too little of it agrees with what was seen
-        before."""
+        before. The motion until now is then forgotten, until a frame is added."""
         T = self._aligned(shot.cloud, shot.points)
         if shot.lit is not None and self._lit is not None:
             T = self._aligned_in_light(shot.cloud, shot.points, shot.lit, self._lit, T)
@@ -286,6 +287,8 @@ class Surroundings:
         """The pose after Gauss-Newton with each map, coarse to fine."""
         T = T_guess
         for size, spring in enumerate(_SPRINGS):
+            if self._maps[size].size() < _MIN_CELLS:
+                continue
             for _ in range(_ITERATIONS):
                 at_T = self._equations(size, cloud, T)
                 if at_T.num_inliers < _MIN_POINTS:
