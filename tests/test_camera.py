@@ -75,3 +75,11 @@ def test_odd_subsampling_is_a_resize():
     np.testing.assert_allclose(
         subsample_camera(camera, 3).K, resize_camera(camera, 10, 8).K, atol=1e-12
     )
+
+
+def test_cameras_of_equal_numbers_are_equal() -> None:
+    K = np.array([[150.0, 0, 79.5], [0, 150.0, 59.5], [0, 0, 1]])
+    camera, same = Camera(K, 160, 120), Camera(K.copy(), 160, 120)
+    assert camera == same and hash(camera) == hash(same) and len({camera, same}) == 1
+    for other in (Camera(K + np.diag([0.1, 0, 0]), 160, 120), Camera(K, 161, 120), None):
+        assert camera != other

@@ -20,7 +20,7 @@ from composenet.config import Config, VolumeConfig
 from composenet.errors import DataError
 from composenet.geometry.transform import rotation_from_quaternion
 from composenet.output import OutputWriter, read_predictions
-from composenet.records import CLASS_NAMES, Track, TrackedObject, TrackState
+from composenet.records import CLASS_NAMES, Camera, Track, TrackedObject, TrackState
 from composenet.timings import summarise_timings
 from composenet.tracks_file import TEXT_HEADER
 from fake_tracks import CAMERA, box_grid, make_frame, make_object
@@ -219,6 +219,17 @@ def test_interrupted_run_keeps_what_was_done(tmp_path: Path) -> None:
     same(run.frames[2].objects[1], entries(2)[1])
     assert len((tmp_path / "tracks.txt").read_text().splitlines()) == 1 + 4
     assert not list(tmp_path.rglob("*.part"))
+
+
+def test_frames_of_another_camera_are_told_of(tmp_path: Path) -> None:
+    frame = make_frame(0)
+    other = Camera(CAMERA.K + np.diag([1.0, 1.0, 0]), CAMERA.width, CAMERA.height)
+    with OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False) as writer:
+        writer.add_frame(frame, (), {})
+        assert writer.finish(()).warnings == ()
+    with OutputWriter(tmp_path, "s", CAMERA, Config(), replay=False) as writer:
+        writer.add_frame(dataclasses.replace(frame, camera=other), (), {})
+        assert "another camera" in writer.finish(()).warnings[0]
 
 
 def test_interrupted_run_can_be_finished(tmp_path: Path) -> None:

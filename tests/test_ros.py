@@ -249,8 +249,23 @@ def test_frames_without_a_transform_near_their_time_are_skipped(tmp_path: Path) 
     sequence = open_sequence(bag.write(tmp_path))
     assert [frame.index for frame in sequence] == [1]
     assert {reason for _, reason in sequence.skipped} == {
-        "no pose: no transform from 'map' to it at that time"
+        "no pose: no transform from 'map' to 'optical' at that time"
     }
+
+
+def test_what_is_seldom_told_of_and_hardly_moves_holds_between(tmp_path: Path) -> None:
+    """As a map's place, which a robot corrects by a little every few seconds."""
+    bag = Recording("mcap")
+    add_depth(bag)
+    for i in range(COUNT):
+        bag.transform(time_s(i), "odom", "optical", pose(i))
+    for at, x in ((time_s(0) - 2, 0.0), (time_s(COUNT) + 2, 0.05)):
+        bag.transform(at, "map", "odom", make_T(np.eye(3), [x, 0, 0]))
+    assert len(list(open_sequence(bag.write(tmp_path, "slow")))) == COUNT
+    bag.messages.pop()
+    bag.transform(time_s(COUNT) + 2, "map", "odom", make_T(np.eye(3), [5.0, 0, 0]))
+    with pytest.raises(SequenceError, match=r"no transform from 'map' to 'odom' at that time"):
+        open_sequence(bag.write(tmp_path, "quick"))
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,17 @@ def test_poses_hold_for_a_moment_where_there_is_a_gap() -> None:
     for time_s, place in held.items():
         assert np.array_equal(way.at(time_s), matrix(poses[place]))
     assert all(way.at(time_s) is None for time_s in (-0.021, 0.071, 0.3, 0.479, 0.521))
+    poses[2] = poses[1] + [0.06, 0, 0, 0, 0, 0, 0]
+    steady = Trajectory(times_s, poses, 0.1, 0.02, (0.1, 5.0)).at(0.275)
+    assert steady is not None
+    np.testing.assert_allclose(steady[:3, 3], poses[1, :3] + [0.03, 0, 0])
+    for gap_s, step in ((0.1, (0.05, 5.0)), (0.04, (0.1, 5.0))):  # too far, or for too long
+        assert Trajectory(times_s, poses, gap_s, 0.02, step).at(0.275) is None
+    poses[2, :3] = poses[1, :3]
+    poses[2, 3:] = (Rotation.from_quat(poses[1, 3:]) * Rotation.from_rotvec([0.1, 0, 0])).as_quat()
+    for degrees, told in ((6.0, True), (5.0, False)):
+        way = Trajectory(times_s, poses, 0.1, 0.02, (0.1, degrees))
+        assert (way.at(0.3) is not None) == told
     poses[2] = poses[1]  # what stays the same holds between
     np.testing.assert_allclose(Trajectory(times_s, poses, 0.1, 0.02).at(0.3), matrix(poses[1]))
     poses[2] = np.nan  # lost: nothing is told on the way there

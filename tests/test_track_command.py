@@ -298,9 +298,9 @@ def test_association_is_told_of_all_surface_that_is_known(
     assert together[0] == alone[0] and len(together[-1]) > len(alone[-1])
 
 
-@pytest.mark.parametrize("ctrl_c", [True, False])
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, None])
 def test_what_stops_on_the_way_back_leaves_the_way_there(
-    recordings: Path, tiny_weights: Path, tmp_path: Path, ctrl_c: bool
+    recordings: Path, tiny_weights: Path, tmp_path: Path, by: signal.Signals | None
 ) -> None:
     sequence, console = open_sequence(recordings / "val_00000"), Console(file=io.StringIO())
     there = load_tracker(tiny_weights, device="cpu", offline=True)
@@ -309,12 +309,12 @@ def test_what_stops_on_the_way_back_leaves_the_way_there(
 
     def stop(count: int) -> None:
         if count == len(sequence) + 2:
-            if not ctrl_c:
+            if by is None:
                 raise torch.OutOfMemoryError("CUDA out of memory")
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(by)
 
     tracker = Watched(tiny_weights, stop, offline=True)
-    with nullcontext() if ctrl_c else pytest.raises(DeviceError):
+    with nullcontext() if by else pytest.raises(DeviceError):
         track_recording(sequence, tracker, tmp_path, console)  # type: ignore[arg-type]
     kept = read_predictions(tmp_path)
     assert not kept.complete and len(kept.frames) == len(sequence)

@@ -600,7 +600,10 @@ def test_two_processes_stay_equal(recordings: Path, tmp_path: Path) -> None:
     assert (progress.step, progress.frames) == (3, 12)  # both processes' frames
 
 
-def test_ctrl_c_stops_cleanly_and_keeps_a_checkpoint(recordings: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_all_processes_stops_cleanly_and_keeps_a_checkpoint(
+    recordings: Path, tmp_path: Path, by: signal.Signals
+) -> None:
     dump(CONFIG, tmp_path / "config.json")
     arguments = ["--out", tmp_path / "run", "--config", tmp_path / "config.json"]
     arguments += ["--data", recordings, "--workers", "1", "--max-minutes", "5"]
@@ -618,7 +621,7 @@ def test_ctrl_c_stops_cleanly_and_keeps_a_checkpoint(recordings: Path, tmp_path:
         assert "sequences of val" in process.stdout.readline()
         line = process.stdout.readline()  # the first step is done
         assert line.startswith("step "), line
-        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, by)
         _, errors = process.communicate(timeout=30)
     finally:
         process.kill()

@@ -42,6 +42,11 @@ SAVE_SHARE = 0.05
 """Files are written whole, so they are renewed only once so much has come."""
 
 
+OTHER_CAMERA = (
+    "some frames are of another camera than `meta.camera`, by which they cannot be projected"
+)
+
+
 class OutputWriter:
     """Writes one result folder while frames come in.
 
@@ -128,8 +133,11 @@ class OutputWriter:
     def add_frame(
         self, frame: Frame, tracked: Sequence[TrackedObject], timings_ms: Mapping[str, float]
     ) -> None:
-        """Take one tracked frame. timings_ms: milliseconds by stage, stages apart (no sums)."""
+        """Take one tracked frame. timings_ms: milliseconds by stage, stages apart (no sums). Warns
+        in the result of a frame of another camera than it was given."""
         self._begin()
+        if frame.camera != self._run.camera:
+            self.warn(OTHER_CAMERA)
         self._frames.append(
             FrameRecord(
                 index=frame.index,

@@ -72,10 +72,11 @@ class TrackState(StrEnum):
     ENDED = "ended"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """Pinhole intrinsics of the depth image. K: (3, 3) float64, pixels. Raises SequenceError where
-    K is no such matrix, or cannot be that of an image of this size."""
+    K is no such matrix, or cannot be that of an image of this size. Cameras of equal numbers are
+    equal."""
 
     K: FloatArray
     width: int
@@ -101,6 +102,15 @@ class Camera:
                 "with it)"
             )
         object.__setattr__(self, "K", K)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Camera) and self._numbers() == other._numbers()
+
+    def __hash__(self) -> int:
+        return hash(self._numbers())
+
+    def _numbers(self) -> tuple[float, ...]:
+        return (self.width, self.height, *self.K.ravel().tolist())
 
 
 _SKEW = 0.01

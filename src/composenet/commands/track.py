@@ -172,8 +172,8 @@ def summary(run: PredictedSequence, out: Path) -> str:
 
 @contextmanager
 def _interruptible() -> Iterator[list[bool]]:
-    """A list that fills when ctrl-C is pressed, so that the frame under way is finished; a
-    second ctrl-C stops at once."""
+    """A list that fills when ctrl-C is pressed or the process is told to end, so that the frame
+    under way is finished; a second time stops at once."""
     asked: list[bool] = []
 
     def ask(*_: object) -> None:
@@ -181,8 +181,9 @@ def _interruptible() -> Iterator[list[bool]]:
             raise KeyboardInterrupt
         asked.append(True)
 
-    before = signal.signal(signal.SIGINT, ask)
+    before = {name: signal.signal(name, ask) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        for name, handler in before.items():
+            signal.signal(name, handler)

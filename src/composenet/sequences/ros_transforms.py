@@ -17,7 +17,9 @@ from composenet.geometry.transform import inverse_T
 from composenet.sequences.stamps import Trajectory
 
 MAX_GAP_S = 1.0
-"""Between two transforms that differ and lie further apart in time nothing is told, but ..."""
+MAX_STEP = 0.1, 5.0
+"""Between two transforms that differ and lie further apart in time (ten times as far, if they
+differ by no more than this, metres and degrees) nothing is told, but ..."""
 MAX_BEYOND_S = 0.05
 """... so long before and after each, that one holds."""
 _WORLD = re.compile(r"map|odom|world|earth|origin|init|mocap|vicon|local|global")
@@ -64,7 +66,7 @@ class Transforms:
             table = np.array(rows[child, parent, fixed]).reshape(-1, 8)
             _, order = np.unique(table[:, 0], return_index=True)
             table = table[-1:] if fixed else table[order]
-            way = Trajectory(table[:, 0], table[:, 1:], MAX_GAP_S, MAX_BEYOND_S)
+            way = Trajectory(table[:, 0], table[:, 1:], MAX_GAP_S, MAX_BEYOND_S, MAX_STEP)
             self._edges[child] = _Edge(parent, way, fixed)
 
     def root(self, frame: str) -> str:
@@ -78,6 +80,12 @@ class Transforms:
     def T_root_frame(self, frame: str, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4), None where a transform on the way is lacking at that time."""
         return self._along(self._way(frame)[:-1], time_s)
+
+    def lacking(self, frame: str, time_s: float) -> tuple[str, str] | None:
+        """Parent and child of the first transform on the way to the root that is not known at that
+        time; None where all are."""
+        edges = ((child, self._edges[child]) for child in self._way(frame)[:-1])
+        return next(((e.parent, child) for child, e in edges if e.at(time_s) is None), None)
 
     def T_between(self, a: str, b: str, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4) T_a_b, None where both are in no common frame or a transform is lacking."""

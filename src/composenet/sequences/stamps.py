@@ -98,12 +98,14 @@ class Trajectory:
     """Where something was from time to time. times_s: (N,) rising, N >= 1; poses: (N, 7) x, y, z
     and a quaternion x, y, z, w of any length but zero, NaN where it was lost. Between two that
     differ and lie over max_gap_s apart, or of which one was lost, and beyond both ends, each holds
-    for max_beyond_s."""
+    for max_beyond_s. Ten times that gap is none if they differ by at most max_step (metres,
+    degrees)."""
 
     times_s: NDArray[np.float64]
     poses: NDArray[np.float64]
     max_gap_s: float
     max_beyond_s: float
+    max_step: tuple[float, float] = (0.0, 0.0)
 
     def at(self, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4), between two poses on an even way; None where none is near enough in time."""
@@ -112,8 +114,8 @@ class Trajectory:
         before = max(after - 1, 0)
         if times[before] < time_s < times[after]:
             gap_s, pair = times[after] - times[before], self.poses[[before, after]]
-            near_enough = gap_s <= self.max_gap_s and np.isfinite(pair).all()
-            if near_enough or np.array_equal(*pair):
+            known = bool(np.isfinite(pair).all())
+            if known and (gap_s <= self.max_gap_s or self._stays(gap_s, *pair)):
                 share = (time_s - times[before]) / gap_s
                 turn = Slerp([0, 1], Rotation.from_quat(pair[:, 3:]))(share)
                 return make_T(turn.as_matrix(), (1 - share) * pair[0, :3] + share * pair[1, :3])
@@ -121,3 +123,13 @@ class Trajectory:
         if abs(times[near] - time_s) > self.max_beyond_s or not np.isfinite(self.poses[near]).all():
             return None
         return make_T(Rotation.from_quat(self.poses[near, 3:]).as_matrix(), self.poses[near, :3])
+
+    def _stays(self, gap_s: float, pose: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+        if np.array_equal(pose, other):
+            return True
+        if gap_s > 10 * self.max_gap_s:
+            return False
+        metres, degrees = self.max_step
+        turn = Rotation.from_quat(pose[3:]).inv() * Rotation.from_quat(other[3:])
+        moved_m = float(np.linalg.norm(other[:3] - pose[:3]))
+        return moved_m <= metres and np.degrees(turn.magnitude()) <= degrees

@@ -79,8 +79,14 @@ class StopRequest:
 
 
 def leave_signals_to_parent(_worker: int) -> None:
-    """In a worker: ctrl-C reaches the whole process group, but the parent decides."""
+    """In a worker: what asks to stop mostly reaches the whole process group, but the parent
+    decides. It may have to tell a worker by the same signal, which is then the second."""
+
+    def once(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, once)
 
 
 def batches_of(stream: IterableDataset[Any], workers: int) -> DataLoader[Any]:
