@@ -142,6 +142,15 @@ def test_perfect_predictions_cost_nothing(symmetry: Symmetry) -> None:
     assert float(errors.completion_iou) == 1
 
 
+def test_what_is_occupied_is_told_by_the_threshold() -> None:
+    batch = one_object(Symmetry.NONE)
+    fields = true_fields(batch, crops_of(batch), np.eye(3))
+    unsure = torch.where(fields.occupancy > 0, torch.tensor(0.45).logit(), fields.occupancy)
+    for threshold, iou in ((0.4, 1), (0.5, 0)):
+        _, errors = object_losses(replace(fields, occupancy=unsure), batch, ROW, threshold)
+        assert float(errors.completion_iou) == iou
+
+
 @pytest.mark.parametrize("symmetry", list(Symmetry))
 @pytest.mark.parametrize("turned_deg", [0, 10, 90, 180])
 def test_only_turns_of_the_symmetry_are_free(symmetry: Symmetry, turned_deg: int) -> None:

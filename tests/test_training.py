@@ -20,7 +20,7 @@ from PIL import Image
 
 from composenet import cli
 from composenet.config import dump
-from composenet.errors import DataError, WeightsError
+from composenet.errors import ConfigError, DataError, WeightsError
 from composenet.files import held
 from composenet.network.weights import load_weights, save_weights
 from composenet.sequences import open_sequence
@@ -28,7 +28,7 @@ from composenet.synth.dataset import write_split
 from composenet.synth.scene import SceneOptions, generate_scene
 from composenet.training import data, loop
 from composenet.training.checkpoint import load_checkpoint
-from composenet.training.config import TrainingConfig
+from composenet.training.config import LossWeights, TrainingConfig
 from composenet.training.data import (
     SceneSource,
     SceneStream,
@@ -69,6 +69,32 @@ def test_a_batch_that_is_not_finite_leaves_nothing_behind(recordings: Path, tmp_
     for state in (trainer.module.network.state_dict(), trainer.averaged_network.state_dict()):
         assert all(torch.isfinite(value).all() for value in state.values())
     assert np.isfinite(trainer.step(good, 1e-3)["total"])
+
+
+def test_a_run_that_learns_nothing_ends(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Step 1 and from step 3 on."""
+    real = loop.weighted_sum
+    steps = itertools.count()
+    monkeypatch.setattr(
+        loop, "weighted_sum", lambda *a: real(*a) * (1.0 if next(steps) in (0, 2) else torch.nan)
+    )
+    monkeypatch.setattr(loop, "MOST_NOT_TAKEN", 3)
+    run = options(tmp_path / "run", max_steps=20, validation_scenes=0)
+    with pytest.raises(ConfigError, match=r"3 steps in a row.*lower learning_rate"):
+        train(CONFIG, run, SceneSource(data_dir=recordings))
+    told = capsys.readouterr().out
+    assert [f"step {n} was not taken" in told for n in range(1, 7)] == [0, 1, 0, 1, 1, 1]
+    network, _, _ = load_weights(run.out / "weights.safetensors")
+    assert all(torch.isfinite(value).all() for value in network.state_dict().values())
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
+def test_losses_weigh_what_can_be_weighed(value: float) -> None:
+    for make in (lambda: LossWeights(center=value), lambda: TrainingConfig(weight_decay=value)):
+        with pytest.raises(ValueError, match=r"number|greater"):
+            make()
 
 
 def test_a_run_goes_on_where_it_stopped(recordings: Path, tmp_path: Path) -> None:
@@ -364,6 +390,8 @@ def test_an_empty_folder_of_data(tmp_path: Path) -> None:
 def test_a_scene_on_disk_is_the_generated_one(recordings: Path) -> None:
     scene = generate_scene("val", 1, SceneOptions(frames=6, image_size=(160, 120)))
     stored = disk_scene(recordings, 3)  # two of them, over and over
+    alone = disk_scene(recordings / "val_00001", 5)  # the folder of a sequence is one, too
+    assert alone.folder == stored.folder
     assert stored.n_frames == 6
     ours, theirs = stored.render(4), scene.render(4, color=False)
     np.testing.assert_array_equal(ours.frame.depth_m, theirs.frame.depth_m)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from composenet.records import (
     TrackedObject,
 )
 from composenet.sequences.recording import RecordedSequence
-from composenet.synth.sequence_folder import read_truth
+from composenet.synth.sequence_folder import annotated_folders, read_truth
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "full": {"use_correspondences": True, "use_completion": True},
@@ -90,9 +89,7 @@ def sequence_folders(data: Path) -> list[Path]:
     """Folders with annotations.json, in name order; or `data` itself. Raises DataError."""
     if not data.is_dir():
         raise DataError(f"{data}: no such folder; make one with `composenet synth --out {data}`")
-    if (data / "annotations.json").exists():
-        return [Path(os.path.abspath(data))]  # `.` has no name
-    folders = sorted(p.parent for p in data.glob("*/annotations.json"))
+    folders = annotated_folders(data)
     if not folders:
         raise DataError(f"{data}: no sequence with an annotations.json in it, nothing to score")
     return folders

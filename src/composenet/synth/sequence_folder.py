@@ -167,6 +167,13 @@ def remove_leftovers(out: Path) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+def annotated_folders(data: Path) -> list[Path]:
+    """The sequences of a folder, in name order; or the folder itself, where it is one."""
+    if (data / "annotations.json").exists():
+        return [Path(os.path.abspath(data))]  # `.` has no name
+    return sorted(path.parent for path in data.glob("*/annotations.json"))
+
+
 def read_truth(folder: Path) -> SequenceTruth:
     """The ground truth of a written sequence, equal to what was written.
 

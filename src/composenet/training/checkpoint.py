@@ -53,7 +53,9 @@ def read_state(path: Path, form: str, keys: set[str]) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         reason = str(error).strip().splitlines()[0][:200]
-        raise WeightsError(f"{path}: not a readable checkpoint ({reason})") from None
+        raise WeightsError(
+            f"{path}: not a readable checkpoint ({reason}); delete it or name another --out"
+        ) from None
     if not isinstance(state, dict) or state.get("format") != form:
         raise WeightsError(f"{path}: not a {form} file; delete it or name another --out")
     if missing := keys - set(state):

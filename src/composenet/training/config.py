@@ -11,7 +11,8 @@ from pydantic.dataclasses import dataclass
 
 from composenet.config import Config, Count, Positive, Share, load
 
-_STRICT = ConfigDict(extra="forbid")
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+Weight = Annotated[float, Field(ge=0)]
 
 Parts = Literal["all", "apart", "detector", "boxes", "objects"]
 """What of the network a run trains (`TrainingConfig.parts`)."""
@@ -21,22 +22,22 @@ Parts = Literal["all", "apart", "detector", "boxes", "objects"]
 class LossWeights:
     """Weights of the losses [paper, where it gives one]."""
 
-    objectness: float = 1.0
-    center: float = 0.1
-    extent: float = 0.1
-    classes: float = 1.0
-    completion: float = 4.0
-    overlap: float = 1.0
-    correspondence: float = 4.0
-    rotation: float = 0.2
-    translation: float = 0.1
-    scale: float = 0.1
-    fit_place: float = 2.0
-    box: float = 1.0
-    place: float = 2.0
-    quality: float = 1.0
-    box_class: float = 1.0
-    heading: float = 1.0
+    objectness: Weight = 1.0
+    center: Weight = 0.1
+    extent: Weight = 0.1
+    classes: Weight = 1.0
+    completion: Weight = 4.0
+    overlap: Weight = 1.0
+    correspondence: Weight = 4.0
+    rotation: Weight = 0.2
+    translation: Weight = 0.1
+    scale: Weight = 0.1
+    fit_place: Weight = 2.0
+    box: Weight = 1.0
+    place: Weight = 2.0
+    quality: Weight = 1.0
+    box_class: Weight = 1.0
+    heading: Weight = 1.0
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -51,7 +52,7 @@ class TrainingConfig:
     """[paper]"""
     learning_rate: Positive = 2e-3
     """the paper's 1e-3 learns slower in runs this short"""
-    weight_decay: Annotated[float, Field(ge=0)] = 0.0
+    weight_decay: Weight = 0.0
     """in Adam's gradient; the paper's 1e-5 silenced a third of the channels (`training.silent`)"""
     rate_warmup_steps: Count = 200
     decay_share: Share = 0.35

@@ -15,7 +15,7 @@ from composenet.geometry.camera import subsample_camera, subsampled
 from composenet.records import Box, Camera, Frame, ObjectFrameTruth, ObjectTruth, SequenceTruth
 from composenet.sequences.options import SequenceOptions
 from composenet.synth.scene import SPLITS, RenderedFrame
-from composenet.synth.sequence_folder import UNTOLD, read_split, read_truth
+from composenet.synth.sequence_folder import UNTOLD, annotated_folders, read_split, read_truth
 from composenet.training.targets import UNKNOWN
 
 
@@ -71,14 +71,14 @@ class DiskScene:
 def other_splits(data_dir: Path) -> list[str]:
     """Splits of the generator, but for `train`, that sequences of a folder are of: what is learned
     from them cannot be measured on them. Raises DataError."""
-    found = {read_split(path.parent) for path in data_dir.glob("*/annotations.json")}
+    found = {read_split(path) for path in annotated_folders(data_dir)}
     return sorted(found & {*SPLITS} - {"train"})
 
 
 def disk_scene(data_dir: Path, index: int) -> DiskScene:
     """Sequence `index` of a folder, endlessly repeated; what was read of the last few is kept.
     Raises DataError for an empty folder."""
-    folders = sorted(path.parent for path in data_dir.glob("*/annotations.json"))
+    folders = annotated_folders(data_dir)
     if not folders:
         raise DataError(f"{data_dir}: no sequences here; write some with `composenet synth`")
     return _kept(folders[index % len(folders)])

@@ -16,7 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
 from composenet.config import Config, flat, to_dict
-from composenet.errors import ComposenetError, DataError, WeightsError
+from composenet.errors import ComposenetError, ConfigError, DataError, WeightsError
 from composenet.files import held
 from composenet.network.model import ComposeNet
 from composenet.network.weights import load_weights, save_weights
@@ -39,6 +39,8 @@ from composenet.training.validation import validate
 SCENES_OF_A_SEED = 1_000_000
 """A run draws its scenes from this many of its own, so that one that goes on from another's weights
 with another seed meets new ones."""
+MOST_NOT_TAKEN = 100
+"""Steps in a row; a run that learns nothing ends."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ class Trainer:
         if group.size > 1:
             self.model = DistributedDataParallel(self.module, find_unused_parameters=True)
         self.saved_step = self.progress.step
+        self.not_taken = 0  # steps in a row, for gradients that are not finite
         own_seed = config.seed + self.progress.step + SCENES_OF_A_SEED * group.rank
         self.generator = torch.Generator().manual_seed(own_seed)
 
@@ -122,8 +125,10 @@ class Trainer:
         if torch.isfinite(norm):
             self.optimizer.step()
             self.average.update_parameters(self.module.network)
+            self.not_taken = 0
         else:
             self._forget_batch()
+            self.not_taken += 1
         self.progress.step += 1
         self.progress.frames += batch.volume.size * self.group.size
         told = losses | {"total": total, "gradient_norm": norm}
@@ -314,6 +319,14 @@ def _run(
         progress.seconds = seconds_before + time.monotonic() - start
         progress.scenes += _scenes_per_step(trainer.config, trainer.group.size)
         log.step(progress, values, rate, waited, time.monotonic() - now, share)
+        if trainer.not_taken:
+            log.say(f"step {progress.step} was not taken: its gradients are not finite")
+        if trainer.not_taken >= MOST_NOT_TAKEN:
+            raise ConfigError(
+                f"{MOST_NOT_TAKEN} steps in a row were not taken, for their gradients are not "
+                f"finite: begin anew from {options.out / 'weights.safetensors'} (--start-from, "
+                "another --out) with a lower learning_rate"
+            )
         if time.monotonic() - last_save > 60 * options.save_every_minutes:
             _save_or_tell(trainer, log)
             last_save = time.monotonic()

@@ -163,7 +163,7 @@ def object_losses(
     gap = fit.t - batch.t[rows]
     losses["translation"] = (seen * gap.square().sum(dim=1)).mean()
     losses["fit_place"] = (seen * _place_cost(gap)).mean()
-    return losses, _errors(fit, squared, gap, logits, target)
+    return losses, _errors(fit, squared, gap, logits.sigmoid() >= threshold, target)
 
 
 def _overlap_loss(logits: Tensor, target: Tensor) -> Tensor:
@@ -174,11 +174,11 @@ def _overlap_loss(logits: Tensor, target: Tensor) -> Tensor:
 
 
 def _errors(
-    fit: SimilarityFit, squared: Tensor, gap: Tensor, logits: Tensor, target: Tensor
+    fit: SimilarityFit, squared: Tensor, gap: Tensor, full: Tensor, target: Tensor
 ) -> PoseErrors:
     # |R - R'|_F^2 = 6 - 2 tr(R^T R') = 8 sin^2(angle / 2)
     sine = (squared.detach() / 8).clamp(0, 1).sqrt()
-    full, true = logits.detach() > 0, target > 0.5
+    true = target > 0.5
     overlap = (full & true).flatten(1).sum(dim=1) / (full | true).flatten(1).sum(dim=1).clamp_min(1)
     return PoseErrors(
         torch.rad2deg(2 * torch.asin(sine)), gap.detach().norm(dim=1), overlap.to(squared.dtype)
