@@ -501,8 +501,9 @@ def test_eval_with_another_configuration(
     back.write_text(json.dumps(plain | {"tracking": plain["tracking"] | {"offline": True}}))
     assert run(*common, "--weights", tiny_weights, "--config", back) == 0
     assert numbers(out)["full"] == online
-    assert run(*common, "--predictions", tracked, "--config", path) == 2
-    assert "--config is for tracking, not for --predictions" in capsys.readouterr().err
+    for option, value in (("--config", path), ("--weights", tiny_weights)):
+        assert run(*common, "--predictions", tracked, option, value) == 2
+        assert f"{option} is for tracking, not for --predictions" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

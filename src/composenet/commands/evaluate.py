@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from composenet.commands.jobs import aggregated, failure_lines, guarded, run_jobs
+from composenet.commands.jobs import (
+    Job,
+    Outcome,
+    aggregated,
+    failure_lines,
+    guarded,
+    run_jobs,
+)
 from composenet.commands.score_cache import ScoreCache
 from composenet.commands.scoring import (
     WAYS,
@@ -25,6 +32,7 @@ from composenet.commands.scoring import (
     true_cameras,
 )
 from composenet.commands.terminal import say
+from composenet.config import Config
 from composenet.config import load as load_config
 from composenet.errors import DataError
 from composenet.files import write_atomic
@@ -64,23 +72,21 @@ def run_eval(
     chosen = load_config(config) if config else None
     claim_scores(out, data)
     if predictions is not None:
-        outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
-        cache = ScoreCache(out / "sequences", (), Path(os.devnull))
-        for (name, folder), outcome in outcomes.items():
-            if isinstance(outcome, ScoredSequence):
-                cache.save(folder, name, outcome)
+        outcomes, made_with = _score_predictions(folders, predictions, out), ""
     else:
-        from composenet.commands.variants import score_variants, variant_cache
-        from composenet.pipeline import load_tracker
-
         weights = weights or default_weights()
-        load_tracker(weights, device=device, config=chosen)  # what is wrong with it is said once
-        cache = variant_cache(out, weights, device, config=chosen)
-        work = partial(score_variants, weights=weights, device=device, config=chosen)
-        names = list(dict.fromkeys(variants))
-        outcomes = run_jobs(names, folders, work, cache, workers, console)
+        outcomes = _track_and_score(
+            folders,
+            variants,
+            out,
+            weights=weights,
+            config=chosen,
+            device=device,
+            workers=workers,
+            console=console,
+        )
+        made_with = weights_id(weights)
     scores, lines = aggregated(outcomes), failure_lines(outcomes)
-    made_with = weights_id(weights) if weights else ""
     command = " ".join(["composenet", *sys.argv[1:]])
     info = RunInfo(data.resolve().name, seed, command, made_with)
     if scores:
@@ -94,6 +100,37 @@ def run_eval(
     for line in lines:
         print(f"composenet: {line}", file=sys.stderr)
     return 1 if lines else 0
+
+
+def _score_predictions(folders: Sequence[Path], predictions: Path, out: Path) -> dict[Job, Outcome]:
+    """What `track` wrote of every sequence, scored and kept in `out`."""
+    outcomes = {("predictions", f): guarded(score_folder, f, predictions) for f in folders}
+    cache = ScoreCache(out / "sequences", (), Path(os.devnull))
+    for (name, folder), outcome in outcomes.items():
+        if isinstance(outcome, ScoredSequence):
+            cache.save(folder, name, outcome)
+    return outcomes
+
+
+def _track_and_score(
+    folders: Sequence[Path],
+    variants: Sequence[str],
+    out: Path,
+    *,
+    weights: Path,
+    config: Config | None,
+    device: str,
+    workers: int,
+    console: Console,
+) -> dict[Job, Outcome]:
+    """Every variant of our tracker on every sequence."""
+    from composenet.commands.variants import score_variants, variant_cache
+    from composenet.pipeline import load_tracker
+
+    load_tracker(weights, device=device, config=config)  # what is wrong with it is said once
+    cache = variant_cache(out, weights, device, config=config)
+    work = partial(score_variants, weights=weights, device=device, config=config)
+    return run_jobs(list(dict.fromkeys(variants)), folders, work, cache, workers, console)
 
 
 def score_folder(folder: Path, predictions: Path) -> ScoredSequence:

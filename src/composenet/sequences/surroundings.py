@@ -100,7 +100,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Look:
+class PosedImage:
     """An image, and the camera's pose (4, 4) in the world."""
 
     lit: LitView
@@ -118,7 +118,7 @@ class Look:
         """The pose of another image by brightness alone, from a guess."""
         return self.T @ LitPair(self.lit, now).guessed(inverse_T(self.T) @ T_guess)
 
-    def shows(self, other: Look) -> bool:
+    def shows(self, other: PosedImage) -> bool:
         """Whether it is near enough to another image, and like it, to place the next."""
         near = alike(other.T, self.T, _EARLIER_M, _EARLIER_DEG)
         return near and self.misfit(other.lit, other.T) < _EARLIER_MISFIT
@@ -135,8 +135,8 @@ class Surroundings:
         self._maps = [small_gicp().GaussianVoxelMap(cell_m) for cell_m in _CELLS_M]
         self._motion: NDArray[np.float64] = np.eye(4)  # of the last frame, T_before_now
         self._before: cKDTree | None = None  # points of the last frame that was placed
-        self._lit: Look | None = None  # the last image with colour
-        self._earlier: Look | None = None  # one of some time ago
+        self._lit: PosedImage | None = None  # the last image with colour
+        self._earlier: PosedImage | None = None  # one of some time ago
 
     @property
     def empty(self) -> bool:
@@ -150,7 +150,7 @@ class Surroundings:
         self.T = T
         self._before = cKDTree(apply_T(T, shot.points), balanced_tree=False, compact_nodes=False)
         if shot.lit is not None:
-            self._lit = Look(shot.lit, T)
+            self._lit = PosedImage(shot.lit, T)
             if not self._rough_color and (
                 self._earlier is None or not self._earlier.shows(self._lit)
             ):
@@ -220,7 +220,7 @@ class Surroundings:
         cloud: Any,
         points: FloatArray,
         lit: LitView,
-        last: Look,
+        last: PosedImage,
         by_surface: NDArray[np.float64] | None,
     ) -> NDArray[np.float64] | None:
         """The best of the pose by surfaces, if there is one, that pose bettered by brightness, and
@@ -248,7 +248,7 @@ class Surroundings:
         return best
 
     def _bettered(
-        self, cloud: Any, lit: LitView, last: Look, T_start: NDArray[np.float64]
+        self, cloud: Any, lit: LitView, last: PosedImage, T_start: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """The pose after Gauss-Newton by the finest map and brightness, from small images on.
         Brightness weighs little, so that it moves the camera where surfaces let it, and more in a
