@@ -12,9 +12,17 @@ from PIL import Image
 
 from composenet.baselines.records import Cameras
 from composenet.commands.bench_page import markdown, write_page
-from composenet.commands.failures import PICTURES, Failure, picture, worst_frames
+from composenet.commands.failures import (
+    PICTURES,
+    Failure,
+    frame_of,
+    frame_with_boxes,
+    picture,
+    worst_frames,
+)
 from composenet.commands.jobs import Job, Outcome
 from composenet.commands.scoring import ScoredSequence, moved_truth, score_tracks
+from composenet.geometry.transform import inverse_T, make_T, rotation_z
 from composenet.metrics.clear import FrameErrors
 from composenet.metrics.report import RunInfo
 from composenet.records import Box, Similarity, TrackedObject, TrackState
@@ -25,9 +33,14 @@ MISSED, FALSE = (214, 150, 0), (214, 40, 50)
 INFO = RunInfo("tiny", 0, "composenet bench", "w")
 
 
-def perfect(folder: Path) -> list[list[TrackedObject]]:
-    """The truth itself as tracks, in the levelled world."""
-    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
+def world_of(folder: Path) -> np.ndarray:
+    return open_sequence(folder).T_level_source
+
+
+def perfect(folder: Path, T_world_source: np.ndarray | None = None) -> list[list[TrackedObject]]:
+    """The truth itself as tracks, in the levelled world or another."""
+    T = world_of(folder) if T_world_source is None else T_world_source
+    truth = moved_truth(read_truth(folder), T)
     objects = {item.gt_id: item for item in truth.objects}
     return [
         [
@@ -42,9 +55,11 @@ def perfect(folder: Path) -> list[list[TrackedObject]]:
     ]  # fmt: skip
 
 
-def scored(folder: Path, tracked: list[list[TrackedObject]]) -> ScoredSequence:
-    truth = moved_truth(read_truth(folder), open_sequence(folder).T_level_source)
-    return score_tracks(truth, tracked)
+def scored(
+    folder: Path, tracked: list[list[TrackedObject]], T_world_source: np.ndarray | None = None
+) -> ScoredSequence:
+    T = world_of(folder) if T_world_source is None else T_world_source
+    return score_tracks(moved_truth(read_truth(folder), T), tracked)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +171,26 @@ def test_a_picture_shows_what_is_missed_and_what_is_false(outcomes: dict[Job, Ou
     assert len(near(shown, MISSED)) > 50 and len(near(shown, FALSE)) > 50
     assert not len(near(right, MISSED)) and not len(near(right, FALSE))
     assert picture(Failure(folder, 99, wrong.errors[3]), wrong) is None
+
+
+def test_pictures_are_of_the_world_that_was_tracked_in(outcomes: dict[Job, Outcome]) -> None:
+    """As odometry's, which lies elsewhere."""
+    folder = next(path for name, path in outcomes if name == "full")
+    T = make_T(rotation_z(np.pi / 2), [3.0, -2.0, 0.5]) @ world_of(folder)
+    here, there = outcomes["full", folder], scored(folder, perfect(folder, T), T)
+    assert isinstance(here, ScoredSequence)
+    assert there.scores.clear.mota == here.scores.clear.mota == 1
+    (one, *_), (other, *_) = (item.truth(folder).frames for item in (here, there))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(
+            b.T_world_object, T @ inverse_T(world_of(folder)) @ a.T_world_object, atol=1e-9
+        )
+    pictures = [picture(Failure(folder, 2, item.errors[2]), item) for item in (here, there)]
+    assert all(pictures)
+    plain, moved = (np.asarray(image).astype(int) for image in pictures)
+    assert (np.abs(plain - moved).max(axis=-1) > 60).mean() < 0.002
+    drawn = frame_with_boxes(frame_of(folder, 2, there), [])  # type: ignore[arg-type]
+    assert (np.abs(plain - np.asarray(drawn).astype(int)).max(axis=-1) > 60).mean() > 0.01
 
 
 def test_what_the_masks_are_worth_is_said_where_a_network_finds_them(

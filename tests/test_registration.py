@@ -222,6 +222,9 @@ def test_recordings_are_looked_at(scene: Scene, tmp_path: Path) -> None:
         far = np.abs(frame.color.astype(int) - expected).max(axis=-1) > 40
         raw = np.abs(rgb.astype(int) - expected).max(axis=-1) > 40
         assert far.mean() < raw.mean()
+    (tmp_path / "off" / "color" / "0.png").write_bytes(b"broken")
+    warnings = open_sequence(tmp_path / "off").warnings
+    assert any("colour is of another camera" in w for w in warnings)
     own = seen_by(scene, ColorCamera(scene.camera.K, np.eye(4)))
     registered = open_sequence(write(tmp_path / "on", scene, own))
     assert not any("colour" in w for w in registered.warnings)
