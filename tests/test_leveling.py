@@ -343,6 +343,11 @@ def test_gravity_that_points_up_is_told_of() -> None:
     _, notes = level_world(surface, up, UP)
     assert any("accelerometer" in note for note in notes)
     assert "accelerometer" not in str(level_world(surface, up, -UP)[1])
+    steep = np.abs(surface.normals[:, 2]) < 0.99  # walls and little else say nothing
+    walls = Surface(surface.points[steep], surface.normals[steep], surface.weights[steep])
+    for gravity in (UP, -UP):
+        assert "accelerometer" not in str(level_world(walls, up, gravity)[1])
+    assert level_world(merge([]), up, UP)[1]
 
 
 @pytest.mark.parametrize(

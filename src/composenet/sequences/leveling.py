@@ -123,13 +123,14 @@ def find_up(surface: Surface, roughly_up: FloatArray) -> NDArray[np.float64] | N
 
 
 def _levelness(surface: Surface, candidates: FloatArray) -> NDArray[np.float64]:
-    """How much speaks for each of some unit up directions (K, 3): the normals that face that way,
-    and half of those square to it, by weight, of up to 2000 points."""
+    """How much speaks for each of some unit up directions (K, 3): the share of normals that face
+    that way, and half of those square to it, by weight, of up to 2000 points."""
     pick = np.random.default_rng(0).permutation(len(surface.weights))[:2000]
     cosines = candidates @ surface.normals[pick].T
     upward = cosines > np.cos(np.radians(_PARALLEL_DEG))
     sideways = np.abs(cosines) < np.sin(np.radians(_SIDEWAYS_DEG))
-    return np.asarray((upward + 0.5 * sideways) @ surface.weights[pick])
+    weights = surface.weights[pick]
+    return np.asarray((upward + 0.5 * sideways) @ weights / max(weights.sum(), 1e-12))
 
 
 def _square_to_walls(surface: Surface, up: FloatArray) -> NDArray[np.float64] | None:
@@ -279,7 +280,7 @@ def _sideways_notes(surface: Surface, up: FloatArray | None) -> list[str]:
 def _gravity_notes(surface: Surface, gravity: FloatArray, up: FloatArray | None) -> list[str]:
     """A note where the up that is seen is not that of gravity."""
     with_it, against_it = _levelness(surface, np.stack([gravity, -gravity]))
-    if with_it > against_it:
+    if with_it > against_it + _MIN_UP_SHARE:
         return [
             "by gravity-direction.txt what lies level is seen from below: it wants the direction "
             "in which things fall, and an accelerometer at rest points the other way"
