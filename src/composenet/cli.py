@@ -88,7 +88,8 @@ class Train:
     """JSON of training parameters, or `paper` for those of the paper, `further` for learning on
     from the shipped weights; default: our own"""
     max_minutes: Positive = 60.0
-    """stop cleanly after this time"""
+    """stop cleanly after this time, at the end of a step (of many frames, as with `further`, one
+    takes long on a CPU)"""
     max_steps: Count | None = None
     """stop after this many further steps"""
     device: str = "auto"
