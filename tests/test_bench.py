@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import pickle
 import re
 import shutil
 import signal
@@ -242,6 +243,14 @@ def test_scores_are_kept_whatever_a_sequence_is_called(tmp_path: Path) -> None:
     assert list(outcomes) == [("row", folder)] and cache.load(folder, "row") is not None
     ((name, variant, _),) = kept_sequences(cache.folder)
     assert (name, variant) == (folder.name, "row")
+
+
+def test_scores_of_an_older_version_are_told_of(tmp_path: Path) -> None:
+    scored = dies_of_one(tmp_path / "first", ("row",))["row"]
+    del vars(scored)["T_world_source"]
+    (tmp_path / "val_00000.full.pkl").write_bytes(b"key\n" + pickle.dumps(scored))
+    with pytest.raises(DataError, match=r"older version, without T_world_source"):
+        list(kept_sequences(tmp_path))
 
 
 def test_a_second_run_does_not_keep_scores_in_the_same_folder(tmp_path: Path) -> None:

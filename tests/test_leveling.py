@@ -332,10 +332,30 @@ def test_a_level_world_that_is_turned_for_a_camera_that_hangs_is_doubted(roll_de
     surface, up = seen_above(-1.0, roll)
     if abs(roll_deg) == 90:  # it does not pan
         up = np.array([0.0, np.sign(roll_deg), 0.2])
-    T, notes = level_world(surface, up, None)
+    T, notes = level_world(surface, up, None, own_floor_m=0.0)
     doubted = any("hangs sideways or upside down" in note for note in notes)
     assert doubted == (angle_deg(T[2, :3], UP) > 45) == (roll_deg != 0)
-    assert "hangs" not in str(level_world(surface, up, -UP)[1])
+    for gravity, own_floor_m in ((-UP, 0.0), (None, None), (None, 1.0)):  # that is no floor
+        assert "hangs" not in str(level_world(surface, up, gravity, own_floor_m)[1])
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 0.5, -0.5])
+@pytest.mark.parametrize("away_m", [0.0, 100.0])
+def test_the_floor_of_a_level_world_lies_under_what_is_seen(away_m: float, tilt_deg: float) -> None:
+    """However far from the world's origin that is, where a small turn lifts it by much."""
+    surface, up = seen_above(-1.0)
+    turn = make_T(Rotation.from_euler("y", tilt_deg, degrees=True).as_matrix(), np.zeros(3))
+    away = make_T(np.eye(3), [away_m, 0, 0])
+    T_source = away @ turn  # the room lies so in the source's world
+    there = surface.moved(T_source)
+    T, notes = level_world(there, up, None, own_floor_m=0.0)
+    assert notes == [] and (T @ T_source)[2, 3] == pytest.approx(0, abs=0.02)
+    high = surface.points[:, 2] > 0.05
+    high &= (surface.normals[:, 2] < 0.9) & (surface.points[:, 2] > 0.05)
+    bare = Surface(surface.points[high], surface.normals[high], surface.weights[high])
+    T, notes = level_world(bare.moved(T_source), up, None, own_floor_m=0.0)
+    assert any("own world is taken" in note for note in notes)
+    assert (T @ T_source)[2, 3] == pytest.approx(0, abs=0.03)
 
 
 def test_gravity_that_points_up_is_told_of() -> None:

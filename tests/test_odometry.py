@@ -211,31 +211,38 @@ def hand(index: int) -> np.ndarray:
     return (0.3 + 0.02 * np.sin(np.arange(CAMERA.width) / 9) + noise).astype(np.float32)
 
 
-@pytest.mark.parametrize("frames", [1, 3])
-def test_a_hand_at_first_loses_nothing_but_as_many_frames_again(frames: int, capfd) -> None:
-    odometry, number = Odometry(), len(SWAY)
-    told = [odometry(hand(i), CAMERA) for i in range(frames)]
-    told += [odometry(frame.depth_m, CAMERA) for frame in SWAY]
-    way = odometry.way()
-    assert told[0] is not None and len(way) == frames + number
-    assert [T is None for T in way] == [True] * 2 * frames + [False] * (number - frames)
-    for T, frame in zip(way[2 * frames :], SWAY[frames:], strict=True):
-        assert T is not None
-        assert_same(inverse_T(way[2 * frames]) @ T, from_first(frame, SWAY[frames]))
+def saved(root: Path, depths: list[np.ndarray]) -> Path:
+    """A plain folder without poses."""
+    frames = [replace(SWAY[0], index=i, depth_m=depth_m) for i, depth_m in enumerate(depths)]
+    return save(root, frames)
+
+
+@pytest.mark.parametrize("hands", [1, 3])
+def test_a_hand_at_first_loses_only_itself(hands: int, tmp_path: Path, capfd) -> None:
+    room = [frame.depth_m for frame in SWAY]
+    folder = saved(tmp_path / "walk", [*(hand(i) for i in range(hands)), *room])
+    sequence = open_sequence(folder, options=OPTIONS)
+    assert sequence.skipped_indices == tuple(range(hands))
+    assert {reason.split(":")[0] for _, reason in sequence.skipped} == {"odometry lost the camera"}
+    first = next(iter(sequence))
+    for frame, true in zip(sequence, SWAY, strict=True):
+        assert_same(from_first(frame, first), from_first(true, SWAY[0]))
     assert not capfd.readouterr().err  # of the library that aligns
 
 
-def test_a_way_is_not_begun_anew_for_a_few_frames_or_after_a_long_one() -> None:
-    odometry = FromFirst()
-    for frame in SWAY[:4]:
-        assert odometry(frame.depth_m) is not None
-    assert [odometry(hand(i)) for i in range(4)] == [None] * 4
-    T = odometry(SWAY[4].depth_m)
-    assert T is not None
-    assert_same(T, from_first(SWAY[4], SWAY[0]), metres=0.02)
-    for _ in range(30):
-        assert odometry(SWAY[4].depth_m) is not None
-    assert [odometry(hand(i)) for i in range(40)] == [None] * 40
+@pytest.mark.parametrize("again", [0, 4])
+def test_a_good_beginning_is_kept(again: int, tmp_path: Path) -> None:
+    """However long a hand covers the camera then, which for itself says where it is, too."""
+    room = [frame.depth_m for frame in SWAY[:4]]
+    depths = [*room, *(hand(i) for i in range(4)), *room[4 - again :]]
+    sequence = open_sequence(saved(tmp_path / "walk", depths), options=OPTIONS)
+    shown = [*SWAY[:4], *SWAY[4 - again : 4]]
+    frames = list(sequence)
+    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
+    assert len(frames) >= 4 + max(0, again - 1)  # the first that is known again may be skipped
+    for frame in frames:
+        true = shown[frame.index if frame.index < 4 else frame.index - 4]
+        assert_same(from_first(frame, frames[0]), from_first(true, SWAY[0]), metres=0.02)
 
 
 def test_a_recording_gets_poses_in_a_levelled_world(tmp_path: Path) -> None:

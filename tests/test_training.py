@@ -650,6 +650,8 @@ def test_a_signal_to_all_processes_stops_cleanly_and_keeps_a_checkpoint(
         line = process.stdout.readline()  # the first step is done
         assert line.startswith("step "), line
         os.killpg(process.pid, by)
+        time.sleep(0.2)
+        os.killpg(process.pid, by)  # torchrun passes on what all were told
         _, errors = process.communicate(timeout=30)
     finally:
         process.kill()

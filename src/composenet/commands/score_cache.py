@@ -6,10 +6,12 @@ import ast
 import hashlib
 import pickle
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import composenet
 from composenet.commands.scoring import ScoredSequence
+from composenet.errors import DataError
 from composenet.files import write_atomic
 
 
@@ -72,10 +74,17 @@ def _digest(folder: Path) -> bytes:
 
 def kept_sequences(folder: Path) -> Iterator[tuple[str, str, ScoredSequence]]:
     """Name of the sequence, variant and scores of all that a cache's folder holds, whatever made
-    them. The files are pickles: open only folders that you trust."""
+    them. The files are pickles: open only folders that you trust. Raises DataError for what an
+    older version has kept."""
     for path in sorted(folder.glob("*.pkl")):
         name, variant, _ = path.name.rsplit(".", 2)
-        yield name, variant, pickle.loads(path.read_bytes().partition(b"\n")[2])
+        scores = pickle.loads(path.read_bytes().partition(b"\n")[2])
+        if lacking := {field.name for field in fields(ScoredSequence)} - vars(scores).keys():
+            raise DataError(
+                f"{path}: kept by an older version, without {min(lacking)}; run the command that "
+                "made it once more"
+            )
+        yield name, variant, scores
 
 
 def sources_of(*modules: str) -> list[Path]:

@@ -229,11 +229,13 @@ def level_world(
     be the floor if the world is z-up, None where none may; it is where none is seen.
     """
     seen = find_up(surface, camera_up if gravity is None else -gravity)
-    notes = (
-        _sideways_notes(surface, seen)
-        if gravity is None
-        else _gravity_notes(surface, gravity, seen)
-    )
+    if own_floor_m is not None and _lowest(surface) < own_floor_m - _BENEATH_M:
+        own_floor_m = None
+    notes = []
+    if gravity is not None:
+        notes = _gravity_notes(surface, gravity, seen)
+    elif own_floor_m is not None:
+        notes = _sideways_notes(surface, seen)
     up = seen if gravity is None else -gravity
     if up is None:
         axes = np.concatenate([np.eye(3), -np.eye(3)])
@@ -243,15 +245,17 @@ def level_world(
         notes.append("no horizontal plane found: up is guessed from how the camera is held")
     R = rotation_onto(up, (0, 0, 1)) if np.linalg.norm(up) > 1e-6 else np.eye(3)
     turned = surface.moved(make_T(R, np.zeros(3)))
-    floor, z = find_floor(turned), turned.points[:, 2]
-    lowest = float(np.percentile(z, 2)) if len(z) else 0.0
-    if own_floor_m is not None and (R[2, 2] < _LEVEL or lowest < own_floor_m - _BENEATH_M):
+    floor = find_floor(turned)
+    if R[2, 2] < _LEVEL or not len(surface.points):
         own_floor_m = None
+    elif own_floor_m is not None:  # under what is seen: the world may be turned far from its origin
+        x, y = np.median(surface.points[:, :2], axis=0)
+        own_floor_m = float((R @ [x, y, own_floor_m])[2])
     if floor is None and own_floor_m is not None:
         floor = own_floor_m
         notes.append("no floor found: z = 0 of the recording's own world is taken for it")
     elif floor is None:
-        floor = lowest
+        floor = _lowest(turned)
         notes.append("no floor found: z = 0 is the lowest surface seen")
     elif own_floor_m is not None and floor > own_floor_m + _BENEATH_M:
         notes.append(
@@ -260,6 +264,11 @@ def level_world(
             "leaves it there"
         )
     return make_T(R, (0, 0, -floor)), notes
+
+
+def _lowest(surface: Surface) -> float:
+    """z, metres, that next to nothing lies under; 0 without points."""
+    return float(np.percentile(surface.points[:, 2], 2)) if len(surface.points) else 0.0
 
 
 def _sideways_notes(surface: Surface, up: FloatArray | None) -> list[str]:

@@ -4,9 +4,6 @@ Each frame is placed among those before it (`surroundings`). Errors add up, a fr
 then, and a camera that was covered is lost. So frames that differ are kept (`keyframes`), and where
 the present one looks like one of long ago it is placed by that, too. If two frames in a row agree
 that the camera is elsewhere, it goes on from there, and the way since then is bent to end there.
-
-A first frame of a hand or a cover would lose all others: if more are lost than were placed, and
-those were few, the way begins anew.
 """
 
 from __future__ import annotations
@@ -30,7 +27,6 @@ _AGREE_M, _AGREE_DEG = 0.05, 2.0  # likewise of two frames' corrections
 _STEP_M, _STEP_DEG = 0.3, 30.0  # from one frame to the next
 _DRIFT, _DRIFT_BY_TURNS_M = 0.15, 0.002  # at most, of metres or degrees, and by a degree of turns
 _SLACK_M, _SLACK_DEG = 0.1, 3.0  # that it may drift besides
-_FEW = 30  # frames placed in the beginning that more lost ones outvote
 
 
 @dataclass(frozen=True)
@@ -75,55 +71,37 @@ class Odometry:
         """rough_color: colour lies on the depth images to some pixels only, so that it counts for
         less, and no image of some time ago betters the last one. Raises ConfigError where
         small_gicp is not installed."""
-        self._rough_color = rough_color
         self._here = Surroundings(rough_color)
         self._way = Way(rough_color)
         self._return: _Return | None = None
-        self._lost = 0  # frames, one after the other, that showed enough
 
     def __call__(
         self, depth_m: FloatArray, camera: Camera, color: NDArray[np.uint8] | None = None
     ) -> NDArray[np.float64] | None:
         """`T_world_camera` (4, 4) of the next frame by this one and those before; None where too
         little of it agrees with what was seen. The world is levelled as the first frame shows it: z
-        up, the floor it sees at z = 0; or as the first after a beginning that few frames agreed
-        with, whose poses are forgotten. depth_m: (H, W) metres, 0 where unknown, or where a moving
+        up, the floor it sees at z = 0. depth_m: (H, W) metres, 0 where unknown, or where a moving
         thing should not be trusted. color: (H, W, 3) uint8, RGB, registered to the depth, black
         where it is not known, for what surfaces do not tell. Raises SequenceError where they are
         not such images of the camera."""
         depth_m = usable_depth("odometry", depth_m, camera)
         if color is not None:
             color = usable_color("odometry", color, camera)
-        shot = Shot.taken(depth_m, camera, color)
-        if shot is None:
+        T, shot = None, Shot.taken(depth_m, camera, color)
+        if shot is not None:
+            small = small_image(depth_m, color)
+            if self._here.empty:
+                _, T = CameraLeveler().level(surface_of(depth_m, camera))
+            else:
+                T = self._corrected(shot, small, self._here.find(shot))
+        else:
             self._return = None
-            self._way.lose()
-            return None
-        T, small = None, small_image(depth_m, color)
-        if not self._here.empty:
-            T = self._corrected(shot, small, self._here.find(shot))
-        self._lost = 0 if T is not None else self._lost + 1
-        if self._here.empty or self._begun_badly():
-            self._begin_anew()
-            _, T = CameraLeveler().level(surface_of(depth_m, camera))
-        if T is None:
+        if shot is None or T is None:
             self._way.lose()
             return None
         self._here.add(shot, T)
         self._way.add(shot, small, T)
         return T.copy()
-
-    def _begun_badly(self) -> bool:
-        """Whether more frames are lost than were placed, and those were few."""
-        placed = sum(T is not None for T in self._way.poses) if self._lost else 0
-        return self._return is None and placed <= _FEW and self._lost > placed
-
-    def _begin_anew(self) -> None:
-        frames = len(self._way.poses)
-        self._here, self._way = Surroundings(self._rough_color), Way(self._rough_color)
-        for _ in range(frames):
-            self._way.lose()
-        self._lost = 0
 
     def way(self) -> list[NDArray[np.float64] | None]:
         """The poses of all frames so far, as those after them have corrected them; None where the

@@ -194,10 +194,31 @@ class RecordedSequence:
         return checks.check_camera(self._source, K, width, height)
 
     def _follow_camera(self, watch: Watch) -> None:
-        """Give every frame a pose by odometry; the frames where it loses the camera are skipped."""
+        """Give every frame a pose by odometry; the frames where it loses the camera are skipped.
+        Where more frames are left than it has placed, as after a first one of a hand, it begins
+        anew with them, and what places most is kept."""
         checks.check_depth(self._source.path, self._read_samples(), self._depth_scale)
-        odometry, followed, before = self.odometry(), [], None
-        for frame in watch(self._frames):
+        most, left = list[SourceFrame](), self._frames
+        while len(left) > len(most):
+            posed, left = self._followed(watch(left))
+            most = max(most, posed, key=len)
+        placed = {frame.index for frame in most}
+        for frame in self._frames:
+            if frame.index not in placed and frame.index not in self._skipped:
+                reason = "odometry lost the camera: it shows too little of what was seen"
+                self._skip(frame, reason)
+        if not most:
+            raise self._nothing_left()
+        self._frames = most
+        self._notes.append("camera poses are from odometry, which drifts")
+
+    def _followed(
+        self, frames: Iterable[SourceFrame]
+    ) -> tuple[list[SourceFrame], list[SourceFrame]]:
+        """The frames that odometry places, with their poses, and those after the last of them; none
+        where it places none. What cannot be read is skipped."""
+        odometry, followed, before = self.odometry(), list[SourceFrame](), None
+        for frame in frames:
             try:
                 depth_m = self._read_depth_m(frame)
                 anew = frame.color != before  # one that comes twice would say that nothing moved
@@ -207,16 +228,10 @@ class RecordedSequence:
                 self._skip(frame, str(error))
             else:
                 followed.append(frame)
-        posed = []
-        for frame, T_source_camera in zip(followed, odometry.way(), strict=True):
-            if T_source_camera is None:
-                self._skip(frame, "odometry lost the camera: it shows too little of what was seen")
-            else:
-                posed.append(replace(frame, T_source_camera=T_source_camera))
-        if not posed:
-            raise self._nothing_left()
-        self._frames = posed
-        self._notes.append("camera poses are from odometry, which drifts")
+        way = odometry.way()
+        placed = [place for place, T in enumerate(way) if T is not None]
+        posed = [replace(followed[place], T_source_camera=way[place]) for place in placed]
+        return posed, followed[placed[-1] + 1 :] if placed else []
 
     def _drop_lost_cameras(self) -> None:
         for frame in checks.lost_cameras(self._source.path, self._frames):
