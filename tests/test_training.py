@@ -650,8 +650,6 @@ def test_a_signal_to_all_processes_stops_cleanly_and_keeps_a_checkpoint(
         line = process.stdout.readline()  # the first step is done
         assert line.startswith("step "), line
         os.killpg(process.pid, by)
-        time.sleep(0.2)
-        os.killpg(process.pid, by)  # torchrun passes on what all were told
         _, errors = process.communicate(timeout=30)
     finally:
         process.kill()
@@ -659,6 +657,26 @@ def test_a_signal_to_all_processes_stops_cleanly_and_keeps_a_checkpoint(
     assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["progress"].step >= 1
     assert "validation" not in log.read_text()  # no waiting for it
     load_weights(tmp_path / "run" / "weights.safetensors")
+
+
+def test_a_worker_ends_only_by_a_later_signal() -> None:
+    """Not by one that torchrun passes on, which all processes were sent already."""
+    script = (
+        "import time; from composenet.training.processes import leave_signals_to_parent\n"
+        "leave_signals_to_parent(0); print('ready', flush=True); time.sleep(60)"
+    )
+    worker = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
+    try:
+        assert worker.stdout is not None and worker.stdout.readline()
+        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM):
+            worker.send_signal(name)
+            with pytest.raises(subprocess.TimeoutExpired):
+                worker.wait(0.2)
+        time.sleep(1)
+        worker.send_signal(signal.SIGTERM)
+        assert worker.wait(20) != 0
+    finally:
+        worker.kill()
 
 
 def test_only_a_later_ctrl_c_stops_at_once() -> None:
