@@ -12,6 +12,7 @@ import time
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ from composenet.training.data import (
 )
 from composenet.training.disk import disk_scene
 from composenet.training.loop import Trainer, learning_rate, train
-from composenet.training.processes import StopRequest
+from composenet.training.processes import StopRequest, leave_signals_to_parent
 from composenet.training.targets import Sample
 from composenet.volume.voxels import voxelize
 from conftest import TINY
@@ -659,24 +660,18 @@ def test_a_signal_to_all_processes_stops_cleanly_and_keeps_a_checkpoint(
     load_weights(tmp_path / "run" / "weights.safetensors")
 
 
-def test_a_worker_ends_only_by_a_later_signal() -> None:
+def test_a_worker_ends_only_by_a_later_signal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not by one that torchrun passes on, which all processes were sent already."""
-    script = (
-        "import time; from composenet.training.processes import leave_signals_to_parent\n"
-        "leave_signals_to_parent(0); print('ready', flush=True); time.sleep(60)"
-    )
-    worker = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
-    try:
-        assert worker.stdout is not None and worker.stdout.readline()
-        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM):
-            worker.send_signal(name)
-            with pytest.raises(subprocess.TimeoutExpired):
-                worker.wait(0.2)
-        time.sleep(1)
-        worker.send_signal(signal.SIGTERM)
-        assert worker.wait(20) != 0
-    finally:
-        worker.kill()
+    handlers: dict[int, Any] = {}
+    ended: list[int] = []
+    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
+    monkeypatch.setattr(os, "_exit", ended.append)
+    leave_signals_to_parent(0)
+    assert handlers[signal.SIGINT] is signal.SIG_IGN
+    for at_s, count in ((10.0, 0), (10.9, 0), (11.1, 1)):
+        monkeypatch.setattr(time, "monotonic", lambda at_s=at_s: at_s)
+        handlers[signal.SIGTERM](signal.SIGTERM, None)
+        assert len(ended) == count
 
 
 def test_only_a_later_ctrl_c_stops_at_once() -> None:
