@@ -245,6 +245,15 @@ def test_a_good_beginning_is_kept(again: int, tmp_path: Path) -> None:
         assert_same(from_first(frame, frames[0]), from_first(true, SWAY[0]), metres=0.02)
 
 
+def test_what_agrees_with_nothing_takes_no_beginnings_place(tmp_path: Path) -> None:
+    """Though it is more, and is tried as a beginning of its own."""
+    depths = [frame.depth_m for frame in SWAY[:3]]
+    depths += [hand(i) * np.float32(far) for i, far in enumerate((1, 6, 1.5, 12, 3))]
+    sequence = open_sequence(saved(tmp_path / "walk", depths), options=OPTIONS)
+    assert [frame.index for frame in sequence] == [0, 1, 2]
+    assert sequence.skipped_indices == (3, 4, 5, 6, 7)
+
+
 def test_a_recording_gets_poses_in_a_levelled_world(tmp_path: Path) -> None:
     folder = save(tmp_path / "walk", SWAY)
     given = open_sequence(folder)

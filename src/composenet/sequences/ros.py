@@ -261,8 +261,8 @@ def _transforms(bag: Bag, depth_topic: str, warnings: list[str]) -> Transforms:
 def _with_pose(frame: SourceFrame, transforms: Transforms, camera: str) -> SourceFrame:
     assert frame.timestamp_s is not None
     T = transforms.T_root_frame(camera, frame.timestamp_s)
-    parent, child = transforms.lacking(camera, frame.timestamp_s) or (transforms.root(camera), "it")
-    return posed(frame, T, f"no transform from {parent!r} to {child!r} at that time")
+    lacking = "" if T is not None else transforms.lacking(camera, frame.timestamp_s)
+    return posed(frame, T, f"no transform {lacking} at that time")
 
 
 def _world_notes(transforms: Transforms, camera: str) -> list[str]:

@@ -81,11 +81,11 @@ class Transforms:
         """(4, 4), None where a transform on the way is lacking at that time."""
         return self._along(self._way(frame)[:-1], time_s)
 
-    def lacking(self, frame: str, time_s: float) -> tuple[str, str] | None:
-        """Parent and child of the first transform on the way to the root that is not known at that
-        time; None where all are."""
-        edges = ((child, self._edges[child]) for child in self._way(frame)[:-1])
-        return next(((e.parent, child) for child, e in edges if e.at(time_s) is None), None)
+    def lacking(self, frame: str, time_s: float) -> str:
+        """Which transforms on the way to the root are not known at that time."""
+        edges = [(child, self._edges[child]) for child in self._way(frame)[:-1]]
+        unknown = [(e.parent, child) for child, e in edges if e.at(time_s) is None]
+        return ", ".join(f"from {parent!r} to {child!r}" for parent, child in unknown)
 
     def T_between(self, a: str, b: str, time_s: float) -> NDArray[np.float64] | None:
         """(4, 4) T_a_b, None where both are in no common frame or a transform is lacking."""

@@ -80,8 +80,8 @@ class StopRequest:
 
 def leave_signals_to_parent(_worker: int) -> None:
     """In a worker: what asks to stop mostly reaches the whole process group, but the parent
-    decides. It may have to end a worker by the same signal, which then comes later than a second
-    time of the same (`StopRequest`)."""
+    decides. It may have to end a worker by the same signal, which therefore counts from a second
+    after the first on (earlier it is the same one, passed on; see `StopRequest`)."""
     first_at = list[float]()
 
     def end_the_second_time(*_: object) -> None:
